@@ -1,0 +1,1 @@
+"""Rigid motion, camera models and alignment."""

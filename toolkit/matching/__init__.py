@@ -1,0 +1,1 @@
+"""Which pairs to match, features, matchers, verification."""

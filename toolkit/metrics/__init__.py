@@ -1,0 +1,1 @@
+"""Image, trajectory and geometry measures."""

@@ -1,0 +1,1 @@
+"""Run folders: launching, resuming, listing and comparing."""

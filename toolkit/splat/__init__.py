@@ -1,0 +1,1 @@
+"""Gaussian splats: parameters, rasterizers, density control and training."""

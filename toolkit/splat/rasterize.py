@@ -1,0 +1,179 @@
+"""The rasterizer's front door: one call, several backends, the same image.
+
+The image formation is that of 3D Gaussian splatting (Kerbl et al. 2023; Zwicker et al. 2001), with these
+conventions, which every backend keeps:
+
+- A Gaussian is drawn where its opacity times its falloff is at least 1/255, alpha is capped at 0.999, and a
+  pixel is finished when its transmittance would fall to 1e-4 or below (that last Gaussian is not drawn).
+- 0.3 square pixels are added to the diagonal of the projected covariance.
+- The perspective Jacobian is evaluated at x/z and y/z clamped to 0.3 half fields of view beyond the image.
+- Gaussians with camera depth below ``near`` are not drawn; the others are blended in order of camera depth.
+- Colours are spherical harmonics of the direction from camera centre to Gaussian, plus 0.5, cut off at zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from toolkit.errors import CapabilityError, DataError
+from toolkit.splat.gaussians import Gaussians
+
+Kind = Literal["3d", "2d"]
+BackendName = Literal["reference", "cpu", "cuda"]
+
+ALPHA_MIN = 1.0 / 255.0
+ALPHA_MAX = 0.999
+TRANSMITTANCE_MIN = 1e-4
+COVARIANCE_BLUR = 0.3
+JACOBIAN_MARGIN = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """C pinhole cameras of one image size.
+
+    Attributes
+    ----------
+    cam_from_world:
+        (C, 4, 4) rigid motions. May carry gradients; compose it with :func:`toolkit.splat.lie.exp_se3` to
+        optimise the 6-vector ``xi`` in ``cam_from_world <- exp(xi) cam_from_world``.
+    intrinsics:
+        (C, 3, 3) calibration matrices in pixels, pixel centres at +0.5, no skew. Not differentiated.
+    width, height:
+        Image size in pixels.
+    """
+
+    cam_from_world: Tensor
+    intrinsics: Tensor
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        count = len(self.cam_from_world)
+        if self.cam_from_world.shape != (count, 4, 4) or self.intrinsics.shape != (count, 3, 3):
+            raise DataError(
+                "Views do not fit together",
+                expected="(C, 4, 4) and (C, 3, 3)",
+                found=f"{tuple(self.cam_from_world.shape)} and {tuple(self.intrinsics.shape)}",
+            )
+        if self.width < 1 or self.height < 1:
+            raise DataError("Views without pixels", found=f"{self.width}x{self.height}")
+
+    def __len__(self) -> int:
+        return len(self.cam_from_world)
+
+
+@dataclass(frozen=True, slots=True)
+class RasterSettings:
+    """How to draw.
+
+    Attributes
+    ----------
+    kind:
+        ``"3d"`` or ``"2d"`` Gaussians.
+    sh_degree:
+        Degree up to which spherical harmonics are used; None: all that are stored.
+    near:
+        Smallest camera depth that is drawn, in scene units.
+    backend:
+        ``"reference"`` (float32 or float64 PyTorch, slow, readable), ``"cpu"`` (float32 numba) or ``"cuda"``.
+    """
+
+    kind: Kind = "3d"
+    sh_degree: int | None = None
+    near: float = 0.01
+    backend: BackendName = "cpu"
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOutput:
+    """Images of C views.
+
+    Attributes
+    ----------
+    colour:
+        (C, H, W, 3), background included; not clamped above 1.
+    alpha:
+        (C, H, W) one minus the transmittance that is left.
+    expected_depth:
+        (C, H, W) mean camera depth (z) of what was drawn, weighted by its share; 0 where nothing was drawn.
+    median_depth:
+        (C, H, W) camera depth of the Gaussian at which the transmittance falls to one half or below, or of the
+        last one that was drawn where it never does; 0 where nothing was drawn. No gradient.
+    radii:
+        (C, N) int32: half size in pixels of the square that can be touched, 0 for Gaussians that are not drawn.
+    means2d:
+        (C, N, 2) projected centres in pixels. Its gradient (``retain_grad``) is what density control reads.
+    """
+
+    colour: Tensor
+    alpha: Tensor
+    expected_depth: Tensor
+    median_depth: Tensor
+    radii: Tensor
+    means2d: Tensor
+
+
+Backend = Callable[[Gaussians, Views, RasterSettings, Tensor], RenderOutput]
+
+
+def rasterize(
+    gaussians: Gaussians,
+    views: Views,
+    settings: RasterSettings | None = None,
+    *,
+    background: Tensor | None = None,
+) -> RenderOutput:
+    """Draw Gaussians, with gradients to every parameter, the camera poses and the background.
+
+    Parameters
+    ----------
+    gaussians:
+        N Gaussians; float32, or float64 with the reference backend.
+    views:
+        C cameras.
+    settings:
+        How to draw; by default 3D on the CPU.
+    background:
+        (3,) colour behind everything; black by default.
+
+    Raises
+    ------
+    CapabilityError
+        Where the backend cannot do what the settings ask. Nothing is substituted.
+    """
+    chosen = settings if settings is not None else RasterSettings()
+    if chosen.sh_degree is not None and not 0 <= chosen.sh_degree <= gaussians.sh_degree:
+        raise CapabilityError(
+            "Cannot use that degree of spherical harmonics",
+            expected=f"0 to {gaussians.sh_degree}, the degree that is stored",
+            found=str(chosen.sh_degree),
+        )
+    if background is None:
+        background = gaussians.means.new_zeros(3)
+    return _backend(chosen)(gaussians, views, chosen, background)
+
+
+def _backend(settings: RasterSettings) -> Backend:
+    if settings.kind != "3d":
+        raise CapabilityError(
+            f"Backend '{settings.backend}' cannot draw kind '{settings.kind}'", expected="kind '3d'"
+        )
+    if settings.backend == "reference":
+        from toolkit.splat.reference import rasterize_reference
+
+        return rasterize_reference
+    if settings.backend == "cpu":
+        from toolkit.splat.cpu import rasterize_cpu
+
+        return rasterize_cpu
+    raise CapabilityError(
+        f"Backend '{settings.backend}' is not there",
+        expected="'reference' or 'cpu'",
+        found=f"CUDA {'available' if torch.cuda.is_available() else 'not available'}",
+    )
