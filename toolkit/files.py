@@ -8,7 +8,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,9 @@ def disk_errors(path: Path, doing: str) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            free = shutil.disk_usage(path if path.exists() else path.parent).free
+            free = shutil.disk_usage(
+                next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+            ).free
             raise RunError(
                 f"The disk is full while {doing} {path}",
                 found=f"{free / 2**20:.1f} MiB free",
@@ -31,6 +33,12 @@ def disk_errors(path: Path, doing: str) -> Iterator[None]:
         if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM):
             raise RunError(
                 f"Not allowed while {doing} {path}", found=str(error), todo="Choose a folder you may write to"
+            ) from error
+        if error.errno in (errno.EEXIST, errno.ENOTDIR, errno.EISDIR):
+            raise RunError(
+                f"Something is in the way while {doing} {path}",
+                found=str(error),
+                todo="Choose another folder, or move away what is there",
             ) from error
         raise
 
@@ -45,9 +53,10 @@ def atomic_path(path: Path) -> Iterator[Path]:
     Raises
     ------
     RunError
-        When the disk is full or the folder may not be written.
+        When the disk is full, the folder may not be written, or a file is where a folder is needed or the reverse.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with disk_errors(path, "writing"):
+        path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.tmp{path.suffix}")
     try:
         with disk_errors(path, "writing"):
@@ -56,8 +65,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 os.fsync(handle.fileno())
             temporary.replace(path)
     finally:
-        with suppress(FileNotFoundError):
-            temporary.unlink()
+        temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

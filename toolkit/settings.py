@@ -14,6 +14,7 @@ import argparse
 import difflib
 import json
 import math
+import numbers
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
@@ -105,7 +106,7 @@ class Settings(param.Parameterized):
     def _declared(cls, name: str) -> param.Parameter:
         names = cls._names()
         if name not in names:
-            close = difflib.get_close_matches(name, names, n=1)
+            close = difflib.get_close_matches(str(name), names, n=1)
             raise SettingsError(
                 f"Unknown setting '{name}' of {cls.__name__}",
                 expected="one of " + ", ".join(names),
@@ -123,9 +124,8 @@ class Settings(param.Parameterized):
                 f"Setting '{name}' belongs to a started job and cannot change",
                 todo="Make a changed copy with replace()",
             )
-        _check(name, declared, value)
         try:
-            super().__setattr__(name, value)
+            super().__setattr__(name, _checked(name, declared, value))
         except (ValueError, TypeError) as error:
             raise SettingsError(
                 f"Setting '{name}' is out of range or of the wrong type",
@@ -164,15 +164,20 @@ class Settings(param.Parameterized):
                 f"Settings of {cls.__name__} are not a table", expected="names and values", found=repr(values)
             )
         made = cls()
+        made._update(values)
+        return made
+
+    def _update(self, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
-            declared = cls._declared(name)
-            if isinstance(declared, Group) and isinstance(value, Mapping):
+            if isinstance(self._declared(name), Group) and isinstance(value, Mapping):
                 try:
-                    value = declared.settings_type.from_dict({**getattr(made, name).to_dict(), **value})
+                    getattr(self, name)._update(value)
                 except SettingsError as error:
                     raise SettingsError(f"In '{name}': {error}") from error
-            setattr(made, name, value)
-        return made
+            elif isinstance(value, Settings):
+                setattr(self, name, type(value).from_dict(value.to_dict()))
+            else:
+                setattr(self, name, value)
 
     def to_json(self) -> str:
         """Return the values as JSON text."""
@@ -190,20 +195,20 @@ class Settings(param.Parameterized):
         return cls.from_dict(values)
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Return a copy with ``changes``, a mapping of dotted names to values. The copy is not frozen."""
-        values = self.to_dict()
+        """Return a copy with ``changes``, a mapping of dotted names to values. The copy is not frozen.
+
+        The value of a group is a mapping of those of its settings that change, or a whole settings object.
+        """
+        made = type(self).from_dict(self.to_dict())
         for dotted, value in changes.items():
             *path, last = dotted.split(".")
-            target: dict[str, Any] = values
-            kind: type[Settings] = type(self)
+            target: Settings = made
             for part in path:
-                group = kind._declared(part)
-                if not isinstance(group, Group):
+                if not isinstance(target._declared(part), Group):
                     raise SettingsError(f"Setting '{part}' in '{dotted}' has no settings below it")
-                target, kind = target[part], group.settings_type
-            kind._declared(last)
-            target[last] = value
-        return type(self).from_dict(values)
+                target = getattr(target, part)
+            target._update({last: value})
+        return made
 
     def replace_from_text(self, assignments: Iterable[str]) -> Self:
         """Return a copy changed by texts of the form ``key=value`` as they come from a command line."""
@@ -217,13 +222,14 @@ class Settings(param.Parameterized):
 
     @classmethod
     def _find(cls, dotted: str) -> param.Parameter:
-        head, _, rest = dotted.partition(".")
-        declared = cls._declared(head)
-        if not rest:
-            return declared
-        if not isinstance(declared, Group):
-            raise SettingsError(f"Setting '{head}' in '{dotted}' has no settings below it")
-        return declared.settings_type._find(rest)
+        *path, last = dotted.split(".")
+        kind: type[Settings] = cls
+        for part in path:
+            group = kind._declared(part)
+            if not isinstance(group, Group):
+                raise SettingsError(f"Setting '{part}' in '{dotted}' has no settings below it")
+            kind = group.settings_type
+        return kind._declared(last)
 
     def frozen(self) -> Self:
         """Return a deep copy that refuses every change: what a job is given."""
@@ -291,18 +297,28 @@ class Settings(param.Parameterized):
 _FLAG = "setting:"
 
 
-def _check(name: str, declared: param.Parameter, value: Any) -> None:
-    """Refuse what param lets pass."""
+def _checked(name: str, declared: param.Parameter, value: Any) -> Any:
+    """Return the value as a plain Python number where it is one; refuse what param lets pass."""
     wrong = callable(value)
-    if isinstance(declared, param.Number):
-        wrong = wrong or isinstance(value, bool)
-        wrong = wrong or (isinstance(value, float) and not math.isfinite(value))
+    if isinstance(declared, param.Number) and not wrong:
+        # numpy's scalars are numbers too, but JSON does not take them; its bools and arrays are none.
+        wrong = isinstance(value, bool) or not isinstance(value, numbers.Real) or not _is_finite(value)
+        if not wrong:
+            value = int(value) if isinstance(value, numbers.Integral) else float(value)
     if wrong:
         raise SettingsError(
             f"Setting '{name}' is out of range or of the wrong type",
             expected=_allowed(declared),
             found=repr(value),
         )
+    return value
+
+
+def _is_finite(value: numbers.Real) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # A whole number beyond the range of float.
+        return False
 
 
 def _allowed(declared: param.Parameter) -> str:
@@ -314,13 +330,12 @@ def _allowed(declared: param.Parameter) -> str:
     if isinstance(declared, param.Number):
         kind = "whole number" if isinstance(declared, param.Integer) else "number"
         low, high = declared.bounds or (None, None)
-        if low is not None and high is not None:
+        with_low, with_high = declared.inclusive_bounds
+        if low is not None and high is not None and with_low and with_high:
             return f"{kind} {low} to {high}"
-        if low is not None:
-            return f"{kind} from {low}"
-        if high is not None:
-            return f"{kind} up to {high}"
-        return kind
+        above = "" if low is None else f" {'from' if with_low else 'above'} {low}"
+        below = "" if high is None else f" {'up to' if with_high else 'below'} {high}"
+        return kind + above + below
     if isinstance(declared, Group):
         return f"settings of {declared.settings_type.__name__}"
     return "text"

@@ -98,20 +98,17 @@ class Workspace:
         Raises
         ------
         RunError
-            When the disk is full or may not be written.
+            When the disk is full or may not be written, or something else lies where the output belongs.
         """
         key = fingerprint({"stage": name, "inputs": inputs, "settings": settings, "code": code})[:20]
         folder = self.root / f"{name}-{key}"
+        lock = FileLock(self.root / f".{name}-{key}.lock")
         with disk_errors(self.root, "preparing"):
             self.root.mkdir(parents=True, exist_ok=True)
-        with FileLock(self.root / f".{name}-{key}.lock"):
-            if (folder / _RECORD).is_file():
-                record = read_json(folder / _RECORD)
-                return StageOutput(folder, key, float(record["seconds"]), reused=True)
+            lock.acquire()
+        try:
             if folder.exists():
-                raise RunError(
-                    f"{folder} is no stage output of ours", expected=f"a {_RECORD} in it", todo="Move it away"
-                )
+                return StageOutput(folder, key, _recorded_seconds(folder), reused=True)
             temporary = self.root / f".{name}-{key}.{uuid.uuid4().hex[:8]}.tmp"
             try:
                 with disk_errors(self.root, "writing stage output below"):
@@ -125,6 +122,8 @@ class Workspace:
             finally:
                 if temporary.exists():
                     shutil.rmtree(temporary)
+        finally:
+            lock.release()
         return StageOutput(folder, key, seconds, reused=False)
 
     def remove_leftovers(self) -> int:
@@ -136,3 +135,16 @@ class Workspace:
         for path in leftovers:
             shutil.rmtree(path)
         return len(leftovers)
+
+
+def _recorded_seconds(folder: Path) -> float:
+    """Return how long the output in ``folder`` took to build, or raise where it is no output."""
+    record = read_json(folder / _RECORD) if (folder / _RECORD).is_file() else None
+    seconds = record.get("seconds") if isinstance(record, dict) else None
+    if not isinstance(seconds, float):
+        raise RunError(
+            f"{folder} is no stage output of ours",
+            expected=f"a {_RECORD} that a finished stage wrote",
+            todo="Move the folder away",
+        )
+    return seconds

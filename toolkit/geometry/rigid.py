@@ -50,20 +50,27 @@ class RigidTransform:
     def from_matrix(cls, matrix: ArrayLike) -> RigidTransform:
         """Return the motion of a (3, 4) or (4, 4) matrix."""
         full = np.asarray(matrix, dtype=np.float64)
+        if full.shape not in ((3, 4), (4, 4)):
+            raise ValueError(f"expected (3, 4) or (4, 4), got {full.shape}")
         return cls(full[:3, :3].copy(), full[:3, 3].copy())
 
     @classmethod
     def look_at(cls, centre: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> RigidTransform:
         """Return ``cam_from_world`` of a camera at ``centre`` looking at ``target`` (x right, y down, z forward).
 
-        Where the line of sight is parallel to ``up``, image up is world +y (north in an ENU frame).
+        Where the line of sight is parallel to ``up``, image up is world +y (north in an ENU frame), or world +z
+        where it is parallel to that too.
         """
         position = np.asarray(centre, float)
         forward = np.asarray(target, float) - position
-        forward = forward / np.linalg.norm(forward)
-        right = np.cross(forward, np.asarray(up, float))
-        if np.linalg.norm(right) < 1e-9:
-            right = np.cross(forward, [0.0, 1.0, 0.0])
+        distance, height = np.linalg.norm(forward), np.linalg.norm(np.asarray(up, float))
+        if not (distance > 0 and height > 0):
+            raise ValueError(f"expected a target away from the centre and an up, got {target}, {centre} and {up}")
+        forward = forward / distance
+        for upward in (np.asarray(up, float) / height, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]):
+            right = np.cross(forward, upward)
+            if np.linalg.norm(right) > 1e-9:
+                break
         right = right / np.linalg.norm(right)
         rotation = np.stack([right, np.cross(forward, right), forward])
         return cls(rotation, -rotation @ position)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from toolkit.progress import Progress
-from toolkit.scene import Scene
 from toolkit.settings import Settings
-from toolkit.splat.gaussians import Gaussians
 from toolkit.workspace import Workspace
+
+if TYPE_CHECKING:  # Reading a result needs neither PyTorch nor pycolmap, which take seconds to import.
+    from toolkit.scene import Scene
+    from toolkit.splat.gaussians import Gaussians
 
 
 @dataclass(frozen=True, slots=True)

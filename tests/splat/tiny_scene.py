@@ -1,0 +1,67 @@
+"""A scene small enough for the reference rasterizer: coloured Gaussians drawn from cameras on an arc."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.scene import Frame, Points, Scene
+from toolkit.splat.gaussians import SH_C0, Gaussians
+from toolkit.splat.rasterize import RasterSettings, Views, rasterize
+
+WIDTH, HEIGHT = 48, 32
+
+
+def true_gaussians(count: int = 40, seed: int = 0) -> Gaussians:
+    """Coloured blobs within one unit of the origin, degree 0."""
+    generator = torch.Generator().manual_seed(seed)
+    directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+    return Gaussians(
+        means=directions * (0.2 + 0.8 * torch.rand(count, 1, generator=generator)),
+        quaternions=torch.randn(count, 4, generator=generator),
+        log_scales=torch.log(0.08 + 0.14 * torch.rand(count, 3, generator=generator)),
+        opacity_logits=torch.full((count,), 3.0),
+        sh=((torch.rand(count, 1, 3, generator=generator) - 0.5) / SH_C0),
+    )
+
+
+def make_scene(folder: Path, *, cameras: int = 9, points: int = 60, seed: int = 0) -> Scene:
+    """Write photos of :func:`true_gaussians` as PNG and return the scene; frames 0 and 4 and 8 are for testing.
+
+    Its points are the centres of the Gaussians and noisy copies of them, in the right colours.
+    """
+    truth = true_gaussians(seed=seed)
+    camera = ColmapCamera.pinhole(WIDTH, HEIGHT, 50.0)
+    frames = []
+    (folder / "images").mkdir(parents=True)
+    for i, angle in enumerate(np.linspace(-0.6, 0.6, cameras)):
+        centre = (4 * math.sin(angle), -4 * math.cos(angle), 0.5 * math.cos(3 * angle))
+        pose = RigidTransform.look_at(centre, (0, 0, 0))
+        views = Views(
+            torch.tensor(pose.matrix, dtype=torch.float32)[None],
+            torch.tensor(camera.intrinsics, dtype=torch.float32)[None],
+            WIDTH,
+            HEIGHT,
+        )
+        colour = rasterize(truth, views, RasterSettings(backend="reference")).colour[0].clamp(0, 1)
+        Image.fromarray((255 * colour).round().to(torch.uint8).numpy()).save(folder / "images" / f"{i:02d}.png")
+        frames.append(Frame(f"{i:02d}.png", 1, pose))
+    generator = np.random.default_rng(seed)
+    chosen = generator.integers(0, len(truth), points)
+    noise = 0.05 * generator.standard_normal((points, 3))
+    colours = (truth.sh[:, 0].numpy() * SH_C0 + 0.5).clip(0, 1)
+    scene = Scene(
+        image_dir=folder / "images",
+        cameras={1: camera},
+        frames=tuple(frames),
+        points=Points(
+            truth.means.numpy().astype(np.float64)[chosen] + noise, (255 * colours[chosen]).astype(np.uint8)
+        ),
+    )
+    return scene.with_every_nth_as_test(4)

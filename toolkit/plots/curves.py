@@ -1,0 +1,52 @@
+"""Measurements over steps or time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import ArrayLike, NDArray
+
+from toolkit.plots.style import colour, dash, figure
+
+#: Most points drawn of one curve: more cannot be told apart on a screen and make pages heavy.
+MOST_POINTS = 1500
+
+
+def curve_figure(
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike]], *, title: str, x_title: str, log: bool = False
+) -> go.Figure:
+    """Draw one line a run.
+
+    Parameters
+    ----------
+    curves:
+        By label, x (N,) ascending and y (N,). A label without points keeps its colour for the next figure.
+    title, x_title:
+        What is measured, and over what.
+    log:
+        Whether the values are drawn on a logarithmic axis.
+    """
+    drawn = figure(title, 300, showlegend=len(curves) > 1, hovermode="x unified")
+    for position, (label, (x, y)) in enumerate(curves.items()):
+        xs, ys = np.asarray(x), np.asarray(y, dtype=np.float64)
+        if not len(xs):
+            continue
+        keep = thinned(len(xs))
+        drawn.add_scatter(
+            x=xs[keep],
+            y=ys[keep],
+            name=label,
+            mode="lines" if len(xs) > 1 else "markers",
+            line={"color": colour(position), "width": 2, "dash": dash(position)},
+            marker={"color": colour(position), "size": 8},
+        )
+    drawn.update_xaxes(title_text=x_title)
+    drawn.update_yaxes(type="log" if log else "linear")
+    return drawn
+
+
+def thinned(count: int) -> NDArray[np.int64]:
+    """Return at most :data:`MOST_POINTS` evenly spread positions of ``count``, first and last included."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(np.int64))

@@ -1,0 +1,109 @@
+"""Camera trajectories in three dimensions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.plots.style import GRID, NEUTRAL, colour, dash, figure
+
+Array = NDArray[np.float64]
+
+#: Corners of a drawn camera in its own axes (x right, y down, z forward), for a depth of one.
+_CORNERS = np.array([[-0.6, -0.45, 1.0], [0.6, -0.45, 1.0], [0.6, 0.45, 1.0], [-0.6, 0.45, 1.0]])
+#: Lines of the drawn camera: centre (0) to corners (1 to 4) and around.
+_LINES = ((0, 1, 2, 0), (0, 2, 3, 0), (0, 3, 4, 0), (0, 4, 1))
+
+
+def trajectory_figure(
+    paths: Mapping[str, Mapping[str, RigidTransform]],
+    reference: Mapping[str, RigidTransform] | None = None,
+    *,
+    most_cameras: int = 60,
+) -> go.Figure:
+    """Draw camera centres as paths, with small pyramids that show where cameras look.
+
+    Parameters
+    ----------
+    paths:
+        By the run's label, ``cam_from_world`` by frame name in order of capture, all in one world frame.
+    reference:
+        True poses, drawn in grey.
+    most_cameras:
+        Most pyramids drawn a path; centres are all drawn.
+    """
+    drawn = figure("", 560, margin={"l": 0, "r": 0, "t": 36, "b": 0}, showlegend=True)
+    everything = [_centres(poses) for poses in [*paths.values(), reference or {}] if poses]
+    size = 0.04 * _extent(np.concatenate(everything)) if everything else 1.0
+    if reference:
+        _add_path(drawn, "reference", reference, NEUTRAL, "dot", size, most_cameras)
+    for position, (label, poses) in enumerate(paths.items()):
+        if poses:
+            _add_path(drawn, label, poses, colour(position), dash(position), size, most_cameras)
+    axis = {"gridcolor": GRID, "zerolinecolor": GRID, "showbackground": False, "showspikes": False}
+    drawn.update_layout(
+        scene={"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "dragmode": "orbit"},
+        legend={"x": 0, "xanchor": "left"},
+    )
+    return drawn
+
+
+def _add_path(
+    drawn: go.Figure,
+    label: str,
+    poses: Mapping[str, RigidTransform],
+    shade: str,
+    line: str,
+    size: float,
+    most_cameras: int,
+) -> None:
+    centres = _centres(poses)
+    drawn.add_scatter3d(
+        x=centres[:, 0],
+        y=centres[:, 1],
+        z=centres[:, 2],
+        name=label,
+        legendgroup=label,
+        mode="lines+markers",
+        line={"color": shade, "width": 4, "dash": line},
+        marker={"color": shade, "size": 3},
+        text=list(poses),
+        hovertemplate="%{text}<br>%{x:.3f}, %{y:.3f}, %{z:.3f}<extra>" + label + "</extra>",
+    )
+    every = max(1, -(-len(poses) // most_cameras))
+    lines = camera_lines(list(poses.values())[::every], size)
+    drawn.add_scatter3d(
+        x=lines[:, 0],
+        y=lines[:, 1],
+        z=lines[:, 2],
+        legendgroup=label,
+        showlegend=False,
+        hoverinfo="skip",
+        mode="lines",
+        line={"color": shade, "width": 2},
+        opacity=0.6,
+    )
+
+
+def camera_lines(poses: Sequence[RigidTransform], size: float) -> Array:
+    """Return line ends (L, 3) of one pyramid a camera, ``size`` deep; rows of NaN end a line."""
+    parts = []
+    for cam_from_world in poses:
+        corners = cam_from_world.inverse().apply(np.concatenate([np.zeros((1, 3)), size * _CORNERS]))
+        for line in _LINES:
+            parts += [corners[list(line)], np.full((1, 3), np.nan)]
+    return np.concatenate(parts) if parts else np.empty((0, 3))
+
+
+def _centres(poses: Mapping[str, RigidTransform]) -> Array:
+    return np.array([pose.centre for pose in poses.values()]).reshape(-1, 3)
+
+
+def _extent(centres: Array) -> float:
+    """Return the diagonal of the box around centres (F, 3), one where they coincide."""
+    diagonal = float(np.linalg.norm(centres.max(axis=0) - centres.min(axis=0)))
+    return diagonal if diagonal > 0 else 1.0

@@ -1,0 +1,111 @@
+"""Measures that every recipe reports in the same way: test pictures, poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from toolkit.errors import StageError
+from toolkit.files import atomic_path
+from toolkit.metrics.image import psnr, ssim
+from toolkit.metrics.lpips import Lpips
+from toolkit.metrics.trajectory import Alignment, relative_errors, trajectory_errors
+from toolkit.progress import Progress, track
+from toolkit.recipes.base import TestView
+from toolkit.scene import Scene
+from toolkit.splat.evaluate import RenderedView
+
+
+def measure_test_renders(
+    renders: Iterable[RenderedView], count: int, artifacts: Path, progress: Progress
+) -> tuple[tuple[TestView, ...], dict[str, float | None], dict[str, Any]]:
+    """Write each test photo beside its render and measure PSNR, SSIM and, where there are weights, LPIPS.
+
+    Parameters
+    ----------
+    renders:
+        Photos and renders of test frames only.
+    count:
+        How many there are.
+    artifacts:
+        Folder below which ``test/`` is filled with PNG pictures.
+
+    Returns
+    -------
+    views, metrics, report:
+        One entry a test frame; their means as ``test.<measure>``; a remark where LPIPS is not available.
+    """
+    lpips = Lpips()
+    views: list[TestView] = []
+    for number, render in enumerate(track(renders, "measure", progress, count)):
+        photo, drawn = f"test/{number:04d}_photo.png", f"test/{number:04d}_render.png"
+        _write_picture(render.photo, artifacts / photo)
+        _write_picture(render.render, artifacts / drawn)
+        views.append(
+            TestView(
+                render.name,
+                photo,
+                drawn,
+                psnr=psnr(render.photo, render.render),
+                ssim=ssim(render.photo, render.render),
+                lpips=lpips(render.photo, render.render),
+            )
+        )
+    if not views:
+        return (), {"test.psnr": None, "test.ssim": None}, {"reason": "no test frame was registered"}
+    metrics: dict[str, float | None] = {
+        "test.views": float(len(views)),
+        "test.psnr": float(np.mean([view.psnr for view in views])),
+        "test.ssim": float(np.mean([view.ssim for view in views])),
+    }
+    distances = [view.lpips for view in views if view.lpips is not None]
+    metrics[f"test.{lpips.name}"] = float(np.mean(distances)) if distances else None
+    return tuple(views), metrics, {} if lpips.available else {lpips.name: f"not available: {lpips.reason}"}
+
+
+def measure_poses(estimate: Scene, reference: Scene | None) -> tuple[dict[str, float | None], dict[str, Any]]:
+    """Compare poses with the reference: POS, ROT and ATE, and the relative pose error.
+
+    Always after Sim(3) alignment; after SE(3) alignment and unaligned too where the estimate claims the reference's
+    metric frame by its georeference (poses from pictures alone have neither scale nor place).
+
+    Returns
+    -------
+    metrics, report:
+        ``poses.<alignment>.<measure>`` in scene units of the reference and in degrees; what could not be
+        measured is left out and the report says why.
+    """
+    if reference is None or not reference.registered:
+        return {}, {"reason": "the data have no reference poses"}
+    metrics: dict[str, float | None] = {}
+    report: dict[str, Any] = {}
+    alignments: tuple[Alignment, ...] = ("sim3",) if estimate.georeference is None else ("sim3", "se3", "none")
+    for alignment in alignments:
+        try:
+            errors = trajectory_errors(estimate, reference, alignment)
+        except StageError as error:
+            report[alignment] = {"reason": str(error)}
+            continue
+        report[alignment] = errors.to_dict()
+        metrics[f"poses.{alignment}.pos"] = errors.pos
+        metrics[f"poses.{alignment}.rot_deg"] = errors.rot
+        metrics[f"poses.{alignment}.ate"] = errors.ate
+    try:
+        relative = relative_errors(estimate, reference).to_dict()
+    except StageError as error:
+        report["relative"] = {"reason": str(error)}
+    else:
+        report["relative"] = relative
+        metrics["poses.rpe.translation"] = relative["translation_rmse"]
+        metrics["poses.rpe.rotation_deg"] = relative["rotation_deg_rmse"]
+    return metrics, report
+
+
+def _write_picture(picture: NDArray[np.float32], path: Path) -> None:
+    with atomic_path(path) as temporary:
+        Image.fromarray((np.clip(picture, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)).save(temporary)

@@ -1,0 +1,106 @@
+"""What a run was made with: machine, libraries, threads and the toolkit's own code."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import toolkit
+from toolkit.workspace import code_version
+
+_LIBRARIES = ("numpy", "scipy", "torch", "torchvision", "numba", "pycolmap", "gsplat")
+
+
+def describe_machine(device: str) -> dict[str, Any]:
+    """Return processor, cores, memory in GiB, system, Python and library versions, and the GPU on ``cuda``."""
+    described: dict[str, Any] = {
+        "cpu": _processor(),
+        "cores": os.cpu_count(),
+        "memory_gib": _memory_gib(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "libraries": {name: version for name in _LIBRARIES if (version := _version(name)) is not None},
+    }
+    if device == "cuda":
+        import torch
+
+        described["gpu"] = torch.cuda.get_device_name()
+    return described
+
+
+def describe_threads() -> dict[str, Any]:
+    """Return how many threads the kernels use: results are only the same to the bit with the same numbers."""
+    import numba
+    import torch
+
+    return {
+        "torch": torch.get_num_threads(),
+        "numba": numba.get_num_threads(),
+        "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
+    }
+
+
+@cache
+def describe_code() -> dict[str, Any]:
+    """Return the toolkit's version, a hash of its sources and, in a checkout, the git commit.
+
+    ``changed`` says whether the checkout differed from that commit.
+    """
+    described: dict[str, Any] = {"version": toolkit.__version__, "sources": code_version(toolkit)}
+    assert toolkit.__file__ is not None
+    root = Path(toolkit.__file__).parent.parent
+    # An installed package may lie below a checkout of something else: its commit would be the wrong one.
+    top = _git(root, "rev-parse", "--show-toplevel")
+    commit = _git(root, "rev-parse", "HEAD")
+    if commit and top and Path(top) == root.resolve():
+        described["commit"] = commit
+        described["changed"] = bool(_git(root, "status", "--porcelain", "--", "toolkit"))
+    return described
+
+
+def _git(root: Path, *arguments: str) -> str:
+    """Return what git says, empty where there is no git or no checkout."""
+    try:
+        answer = subprocess.run(
+            ["git", "--no-optional-locks", "-C", str(root), *arguments],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return answer.stdout.strip() if answer.returncode == 0 else ""
+
+
+def _processor() -> str:
+    """Return the processor's name."""
+    information = Path("/proc/cpuinfo")
+    if information.is_file():
+        for line in information.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _memory_gib() -> float | None:
+    """Return the machine's memory in GiB, None where the system does not tell."""
+    if not hasattr(os, "sysconf"):
+        return None
+    try:
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
+    except (ValueError, OSError):
+        return None
+
+
+def _version(package: str) -> str | None:
+    """Return the version of an installed package without importing it."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

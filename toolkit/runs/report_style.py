@@ -1,0 +1,180 @@
+"""The style and the few lines of script of the report page."""
+
+CSS = """
+:root {
+  color-scheme: light dark;
+  --ground: #f6f7f9; --card: #ffffff; --text: #1b2330; --muted: #657085; --line: #e2e6ec;
+  --accent: #2563eb; --best: #0f7a4d; --best-ground: #e2f6ec; --warn: #8a5a00; --warn-ground: #fff4dc;
+  --shade: 0 1px 2px rgba(20, 30, 50, .06), 0 6px 20px rgba(20, 30, 50, .05);
+}
+@media (prefers-color-scheme: dark) {
+  :root {
+    --ground: #0f1319; --card: #171d26; --text: #e4e9f1; --muted: #93a0b4; --line: #29313d;
+    --accent: #7aa8ff; --best: #5fd6a0; --best-ground: #12362a; --warn: #f2c566; --warn-ground: #3a2d10;
+    --shade: 0 1px 2px rgba(0, 0, 0, .4);
+  }
+}
+* { box-sizing: border-box; }
+body {
+  margin: 0; background: var(--ground); color: var(--text);
+  font: 15px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", sans-serif;
+  -webkit-text-size-adjust: 100%;
+}
+main { max-width: 1240px; margin: 0 auto; padding: 28px 20px 64px; }
+header.page h1 { font-size: 28px; line-height: 1.2; letter-spacing: -.015em; margin: 0 0 4px; overflow-wrap: anywhere; }
+header.page p { margin: 0; color: var(--muted); }
+h2 { font-size: 19px; letter-spacing: -.01em; margin: 40px 0 12px; }
+p.note { color: var(--muted); margin: 0 0 12px; font-size: 14px; }
+code, .mono, pre { font-family: ui-monospace, "SF Mono", Menlo, Consolas, "DejaVu Sans Mono", monospace; font-size: 12.5px; }
+.card, .scroll, details {
+  background: var(--card); border: 1px solid var(--line); border-radius: 12px; box-shadow: var(--shade);
+}
+.dot { display: inline-block; width: 11px; height: 11px; border-radius: 50%; flex: none; background: var(--run); }
+.runs { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(min(290px, 100%), 1fr)); margin-top: 22px; }
+.run { padding: 16px 18px; border-top: 3px solid var(--run); min-width: 0; }
+.run h3 { display: flex; gap: 8px; align-items: center; font-size: 16px; margin: 0; overflow-wrap: anywhere; }
+.run .badge { margin-left: auto; }
+.run .what { color: var(--muted); font-size: 13.5px; overflow-wrap: anywhere; }
+.badge { font-size: 12px; font-weight: 600; padding: 2px 9px; border-radius: 99px; background: var(--line); white-space: nowrap; }
+.badge.finished { background: var(--best-ground); color: var(--best); }
+.badge.failed, .badge.interrupted, .badge.cancelled { background: var(--warn-ground); color: var(--warn); }
+.numbers { display: flex; flex-wrap: wrap; gap: 6px 26px; margin: 14px 0 10px; }
+.numbers div { display: flex; flex-direction: column-reverse; }
+.numbers b { font-size: 22px; line-height: 1.25; font-weight: 650; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.numbers span { font-size: 12px; color: var(--muted); }
+.warnings {
+  margin: 20px 0 0; padding: 12px 16px 12px 34px; border-radius: 12px; background: var(--warn-ground); color: var(--warn);
+}
+.warnings li + li { margin-top: 4px; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; width: 100%; font-size: 14px; }
+th, td { padding: 8px 14px; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
+tbody tr:last-child > * { border-bottom: 0; }
+thead th { color: var(--muted); font-weight: 600; font-size: 13px; }
+thead th .dot { margin-right: 7px; width: 9px; height: 9px; }
+tbody th { font-weight: 500; position: sticky; left: 0; background: var(--card); }
+tbody th small { color: var(--muted); font-weight: 400; margin-left: 6px; }
+table.numeric td { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+table.numeric thead th:not(:first-child) { text-align: right; }
+table.text td { overflow-wrap: anywhere; min-width: 9em; }
+td.best b { display: inline-block; margin: -1px -8px; padding: 1px 8px; border-radius: 7px; background: var(--best-ground); color: var(--best); }
+td small { color: var(--muted); margin-left: 5px; }
+tr.total > * { font-weight: 650; }
+.charts { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(min(430px, 100%), 1fr)); }
+.chart { padding: 10px 12px 4px; min-width: 0; overflow: hidden; }
+.bar { display: flex; flex-wrap: wrap; align-items: center; gap: 8px 14px; margin: 0 0 12px; }
+.choice { display: inline-flex; border: 1px solid var(--line); border-radius: 9px; overflow: hidden; background: var(--card); }
+.choice button {
+  border: 0; background: none; color: var(--muted); font: inherit; font-size: 13.5px; padding: 6px 14px; cursor: pointer;
+}
+.choice button + button { border-left: 1px solid var(--line); }
+.choice button[aria-pressed=true] { background: var(--accent); color: var(--card); font-weight: 600; }
+.choice button:focus-visible, input:focus-visible, summary:focus-visible { outline: 2px solid var(--accent); outline-offset: 2px; }
+.views { display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(var(--view), 100%), 1fr)); }
+.view { padding: 12px; min-width: 0; }
+.view h3 { margin: 0 2px 8px; font-size: 14px; font-weight: 600; overflow-wrap: anywhere; }
+.panels { display: grid; gap: 10px; grid-template-columns: repeat(auto-fit, minmax(min(220px, 100%), 1fr)); }
+figure { margin: 0; min-width: 0; }
+.stack {
+  position: relative; border-radius: 8px; overflow: hidden; isolation: isolate; background: #808080;
+  cursor: ew-resize; touch-action: pan-y; user-select: none; line-height: 0;
+}
+.stack img { width: 100%; height: auto; display: block; -webkit-user-drag: none; }
+.stack .render { position: absolute; inset: 0; height: 100%; clip-path: inset(0 0 0 var(--split)); }
+.stack::after {
+  content: ""; position: absolute; top: 0; bottom: 0; left: var(--split); width: 2px; margin-left: -1px;
+  background: #fff; box-shadow: 0 0 4px rgba(0, 0, 0, .6);
+}
+.tag {
+  position: absolute; bottom: 8px; padding: 1px 7px; border-radius: 6px; background: rgba(0, 0, 0, .55); color: #fff;
+  font-size: 11px; line-height: 1.6; pointer-events: none;
+}
+.tag.left { left: 8px; } .tag.right { right: 8px; }
+[data-mode=photo] .render, [data-mode=photo] .right, [data-mode=render] .left, [data-mode=difference] .tag { display: none; }
+[data-mode=render] .render, [data-mode=difference] .render { clip-path: none; }
+[data-mode=difference] .render { mix-blend-mode: difference; }
+[data-mode=difference] .stack { filter: brightness(2.5); }
+:is([data-mode=photo], [data-mode=render], [data-mode=difference]) .stack { cursor: default; }
+:is([data-mode=photo], [data-mode=render], [data-mode=difference]) .stack::after { display: none; }
+:is([data-mode=photo], [data-mode=render], [data-mode=difference]) .view input { visibility: hidden; }
+figcaption { display: flex; gap: 7px; align-items: center; font-size: 13px; margin: 6px 2px 0; min-width: 0; }
+figcaption .name { overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
+figcaption .score { margin-left: auto; color: var(--muted); white-space: nowrap; font-variant-numeric: tabular-nums; }
+figcaption .score b { color: var(--text); }
+figcaption .score.best b { color: var(--best); }
+.view input { width: 100%; margin: 8px 0 0; accent-color: var(--accent); }
+details { margin: 10px 0; padding: 0 16px; }
+summary { cursor: pointer; padding: 11px 0; font-weight: 550; overflow-wrap: anywhere; }
+details .scroll { box-shadow: none; margin-bottom: 14px; }
+pre { overflow: auto; max-height: 420px; margin: 0 0 14px; padding: 12px; border-radius: 8px; background: var(--ground); }
+footer { margin-top: 48px; color: var(--muted); font-size: 13px; }
+@media (max-width: 560px) {
+  main { padding: 18px 12px 48px; }
+  header.page h1 { font-size: 23px; }
+  th, td { padding: 7px 10px; }
+  tbody th { max-width: 42vw; overflow-wrap: anywhere; }
+}
+@media print { .bar, .view input { display: none; } .card, .scroll, details { box-shadow: none; break-inside: avoid; } }
+"""
+
+SCRIPT = """
+"use strict";
+const figures = JSON.parse(document.getElementById("figures").textContent);
+const dark = matchMedia("(prefers-color-scheme: dark)");
+const config = {displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d"]};
+
+function themed(figure) {
+  const style = getComputedStyle(document.documentElement);
+  const text = style.getPropertyValue("--text").trim(), card = style.getPropertyValue("--card").trim();
+  const layout = structuredClone(figure.layout);
+  layout.font = {...layout.font, color: text};
+  layout.hoverlabel = {...layout.hoverlabel, bgcolor: card, font: {color: text}};
+  return [figure.data, layout];
+}
+
+function draw(place) {
+  const variants = figures[place.dataset.figure];
+  const [data, layout] = themed(variants[place.dataset.variant] || variants.only);
+  Plotly.react(place, data, layout, config);
+}
+
+const places = [...document.querySelectorAll("[data-figure]")];
+places.forEach(draw);
+dark.addEventListener("change", () => places.forEach(draw));
+
+for (const choice of document.querySelectorAll(".choice")) {
+  choice.addEventListener("click", (event) => {
+    const button = event.target.closest("button");
+    if (!button) return;
+    for (const other of choice.children) other.setAttribute("aria-pressed", String(other === button));
+    const section = choice.closest("section");
+    section.dataset.mode = button.dataset.mode;
+    for (const place of section.querySelectorAll("[data-variant]")) {
+      place.dataset.variant = button.dataset.mode;
+      draw(place);
+    }
+  });
+}
+
+for (const image of document.querySelectorAll("img[data-same]")) {
+  image.src = document.getElementById(image.dataset.same).src;
+}
+
+for (const view of document.querySelectorAll(".view")) {
+  const range = view.querySelector("input");
+  const set = (percent) => {
+    range.value = percent;
+    view.style.setProperty("--split", percent + "%");
+  };
+  range.addEventListener("input", () => set(range.value));
+  for (const stack of view.querySelectorAll(".stack")) {
+    const follow = (event) => {
+      if (event.pointerType === "touch" && event.type === "pointermove" && !event.isPrimary) return;
+      const box = stack.getBoundingClientRect();
+      set(Math.min(100, Math.max(0, 100 * (event.clientX - box.left) / box.width)));
+    };
+    stack.addEventListener("pointermove", follow);
+    stack.addEventListener("pointerdown", follow);
+  }
+}
+"""

@@ -1,0 +1,114 @@
+"""Runs and comparisons as text for a terminal."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Sequence
+
+from toolkit.recipes.base import StageTime
+from toolkit.runs.compare import Comparison, TextRow
+from toolkit.runs.index import RunSummary
+from toolkit.runs.measures import better, format_number, format_seconds
+
+_ARROW = {"higher": " ↑", "lower": " ↓", None: ""}
+
+
+def printable(text: str) -> str:
+    """Return ``text`` without control characters: run folders may come from others, terminals obey escapes."""
+    return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
+
+
+def table(rows: Sequence[Sequence[str]], *, right: bool = False) -> str:
+    """Return rows as aligned columns two spaces apart; ``right`` aligns all but the first column right."""
+    cleaned = [[printable(cell) for cell in row] for row in rows]
+    widths = [max(map(_width, column)) for column in zip(*cleaned, strict=True)]
+    lines = []
+    for row in cleaned:
+        cells = [
+            " " * (width - _width(cell)) + cell if right and i else cell + " " * (width - _width(cell))
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def _width(text: str) -> int:
+    """Return how many columns of a terminal ``text`` takes."""
+    wide = sum(unicodedata.east_asian_width(char) in "WF" for char in text)
+    return len(text) + wide - sum(unicodedata.combining(char) > 0 for char in text)
+
+
+def runs_text(summaries: Sequence[RunSummary]) -> str:
+    """Return a list of runs, one line each, errors below their rows."""
+    rows = [("id", "name", "state", "stage", "time", "PSNR")]
+    for item in summaries:
+        metrics = item.metrics or {}
+        rows.append(
+            (
+                item.run.id,
+                item.name or "–",
+                item.state,
+                _where(item),
+                format_seconds(item.seconds) if item.seconds is not None else "–",
+                format_number(metrics.get("test.psnr")),
+            )
+        )
+    lines = table(rows).split("\n")
+    shown = lines[:1]
+    for line, item in zip(lines[1:], summaries, strict=True):
+        shown.append(line)
+        if item.error:
+            shown.append("    " + printable(_shortened(item.error)))
+    return "\n".join(shown)
+
+
+def _where(item: RunSummary) -> str:
+    if not item.stage or item.state == "finished":
+        return "–"
+    return f"{item.stage} {item.done}" + (f"/{item.total}" if item.total is not None else "")
+
+
+def _shortened(text: str, length: int = 200) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= length else line[: length - 1] + "…"
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return measures, times and settings as tables; the best value of a measure has a star."""
+    several = len(comparison.runs) > 1
+    labels = [item.label for item in comparison.runs]
+    parts = [_text_table("run", labels, comparison.facts)]
+    if comparison.measures:
+        rows = [["measure", *labels]]
+        for row in comparison.measures:
+            values = [
+                format_number(value) + (" *" if i in row.best else "  " if several else "")
+                for i, value in enumerate(row.values)
+            ]
+            rows.append([row.name + _ARROW[better(row.name)], *values])
+        best = "  (↑ higher is better, ↓ lower is better, * best)" if several else ""
+        parts.append(f"Measures{best}\n{table(rows, right=True)}")
+    if comparison.times:
+        rows = [["stage", *labels]]
+        rows += [[row.stage, *(_time(time) for time in row.times)] for row in comparison.times]
+        totals = ["–" if total is None else format_seconds(total) + "  " for total in comparison.totals]
+        rows.append(["total", *totals])
+        parts.append(f"Times  (r: reused from an earlier run, with its time then)\n{table(rows, right=True)}")
+    if several:
+        differ = (
+            _text_table("setting", labels, comparison.settings) if comparison.settings else "none that all have"
+        )
+        parts.append("\n".join([f"Settings that differ\n{differ}", *comparison.settings_notes]))
+    parts.append("\n".join(f"Warning: {text}" for text in comparison.warnings))
+    lines = "\n\n".join(part for part in parts if part).split("\n")
+    return "\n".join(map(printable, lines))
+
+
+def _text_table(head: str, labels: Sequence[str], rows: Sequence[TextRow]) -> str:
+    return table([[head, *labels], *([row.name, *(value or "–" for value in row.values)] for row in rows)])
+
+
+def _time(time: StageTime | None) -> str:
+    if time is None:
+        return "–  "
+    return format_seconds(time.seconds) + (" r" if time.reused else "  ")

@@ -1,0 +1,103 @@
+"""Renders of trained Gaussians beside the photos that were held back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolkit.progress import Progress, silent, track
+from toolkit.scene import Scene
+from toolkit.splat.gaussians import Gaussians
+from toolkit.splat.images import Photo, load_photo
+from toolkit.splat.rasterize import BackendName, RasterSettings, RenderOutput, rasterize
+from toolkit.splat.train_settings import TrainSettings
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedView:
+    """A photo and what the Gaussians look like from where it was taken.
+
+    Attributes
+    ----------
+    name:
+        Of the frame.
+    photo, render:
+        (H, W, 3) float32, 0 to 1.
+    depth:
+        (H, W) float32 median camera depth in scene units, 0 where nothing was drawn.
+    weights:
+        (H, W) float32, 0 where the frame's mask says that the photo does not count, or None without mask.
+    """
+
+    name: str
+    photo: Image
+    render: Image
+    depth: Image
+    weights: Image | None = None
+
+
+def render_test_views(
+    gaussians: Gaussians,
+    scene: Scene,
+    settings: TrainSettings,
+    *,
+    device: str = "cpu",
+    progress: Progress = silent,
+) -> Iterator[RenderedView]:
+    """Yield every test frame with a pose, at the size of the training.
+
+    A random background of the training is black here.
+
+    Raises
+    ------
+    DataError
+        As :func:`toolkit.splat.images.load_photo`.
+    """
+    for frame in track(scene.of_split("test"), "splat.test_views", progress):
+        photo = load_photo(scene, frame, settings.max_side, device=device)
+        output = draw(gaussians, photo, settings)
+        weights = photo.weights()
+        yield RenderedView(
+            name=frame.name,
+            photo=photo.colours().numpy(),
+            render=output.colour[0].clamp(0, 1).cpu().numpy(),
+            depth=output.median_depth[0].cpu().numpy(),
+            weights=None if weights is None else weights.numpy(),
+        )
+
+
+@torch.no_grad()
+def draw(gaussians: Gaussians, photo: Photo, settings: TrainSettings) -> RenderOutput:
+    """Return the render of a photo's view, without gradients."""
+    return rasterize(
+        gaussians.detach(),
+        photo.views,
+        raster_settings(settings),
+        background=fixed_background(settings, gaussians.means),
+    )
+
+
+def raster_settings(settings: TrainSettings) -> RasterSettings:
+    """Return how the rasterizer is called in training and evaluation."""
+    backend: BackendName = settings.backend
+    return RasterSettings(backend=backend)
+
+
+def fixed_background(settings: TrainSettings, like: Tensor) -> Tensor:
+    """Return the background colour (3,) with which views are compared: black also where training varies it."""
+    return like.new_full((3,), 1.0 if settings.background == "white" else 0.0)
+
+
+def psnr(render: Tensor, photo: Tensor, weights: Tensor | None = None) -> float:
+    """Return the peak signal-to-noise ratio in dB of images (H, W, 3), 0 to 1, the render cut off at 0 and 1."""
+    square = (render.clamp(0, 1) - photo).square().mean(dim=-1)
+    error = square.mean() if weights is None else (weights * square).sum() / weights.sum()
+    return -10 * math.log10(max(float(error), 1e-12))

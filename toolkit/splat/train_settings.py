@@ -1,0 +1,155 @@
+"""The settings of splat training, and the schedule that follows from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from toolkit.settings import Choice, Integer, Number, Settings
+
+# A run holds at least this many rounds of densification, however short it is.
+_ROUNDS = 12
+
+
+class TrainSettings(Settings):
+    """How Gaussians are trained (Kerbl et al. 2023; the learning rates are those of its code).
+
+    What happens at a certain time of a run is a share of ``steps``, and what happens again and again has an
+    interval in steps that shrinks in runs too short for it (:class:`Schedule`). So a run of 300 steps goes
+    through the same phases as one of 30000.
+    """
+
+    steps = Integer(3000, bounds=(1, 1_000_000), unit="steps", doc="Length of the training; one photo a step.")
+    max_side = Integer(
+        800, bounds=(16, 8192), unit="px", doc="Photos whose longer side is larger are averaged down to this."
+    )
+    lambda_dssim = Number(0.2, bounds=(0.0, 1.0), doc="Share of D-SSIM in the loss; the rest is L1.")
+    background = Choice(
+        "black", choices=("black", "white", "random"), doc="Colour behind the Gaussians; random: another each step."
+    )
+    backend = Choice("cpu", choices=("cpu", "cuda", "reference"), doc="Rasterizer; reference is for tests only.")
+
+    sh_degree = Integer(3, bounds=(0, 3), doc="Highest degree of the spherical harmonics of colour.")
+    sh_every = Integer(
+        1000, bounds=(1, 1_000_000), unit="steps", doc="The degree rises by one at this interval, from 0 on."
+    )
+    initial_opacity = Number(0.1, bounds=(0.001, 0.99), doc="Opacity of the Gaussians made from points.")
+
+    lr_means = Number(
+        1.6e-4, bounds=(0.0, 1.0), unit="scene extents", doc="Learning rate of centres at the first step."
+    )
+    lr_means_final = Number(
+        1.6e-6, bounds=(0.0, 1.0), unit="scene extents", doc="... at the last; exponential in between."
+    )
+    lr_quaternions = Number(1e-3, bounds=(0.0, 1.0), doc="Learning rate of rotations.")
+    lr_log_scales = Number(5e-3, bounds=(0.0, 1.0), doc="Learning rate of log scales.")
+    lr_opacity = Number(5e-2, bounds=(0.0, 1.0), doc="Learning rate of opacity logits.")
+    lr_sh0 = Number(2.5e-3, bounds=(0.0, 1.0), doc="Learning rate of the base colour.")
+    lr_sh_rest = Number(1.25e-4, bounds=(0.0, 1.0), doc="Learning rate of the higher spherical harmonics.")
+
+    densify_start = Number(0.05, bounds=(0.0, 1.0), unit="of steps", doc="Densification and pruning begin here.")
+    densify_stop = Number(0.5, bounds=(0.0, 1.0), unit="of steps", doc="... and end here.")
+    densify_every = Integer(
+        100, bounds=(1, 100_000), unit="steps", doc="Longest interval between two rounds of densification."
+    )
+    grad_threshold = Number(
+        2e-4,
+        bounds=(0.0, 1.0),
+        doc="Gaussians whose mean screen-space gradient (per half image side) exceeds this are densified.",
+    )
+    clone_scale = Number(
+        0.01, bounds=(0.0, 10.0), unit="scene extents", doc="Up to this size they are cloned, above it split."
+    )
+    prune_opacity = Number(0.005, bounds=(0.0, 1.0), doc="Gaussians below this opacity are removed.")
+    prune_scale = Number(
+        0.1, bounds=(0.0, 100.0), unit="scene extents", doc="After the first opacity reset larger ones are removed."
+    )
+    reset_every = Integer(
+        3000,
+        bounds=(0, 1_000_000),
+        unit="steps",
+        doc="Interval at which opacities are set back while densifying, so that floaters die; 0: never.",
+    )
+    max_gaussians = Integer(
+        150_000, bounds=(4, 50_000_000), doc="Never more than these; the highest gradients go first."
+    )
+
+    eval_every = Integer(
+        250, bounds=(1, 1_000_000), unit="steps", doc="Interval at which one test photo is measured, for a curve."
+    )
+    checkpoint_every = Integer(500, bounds=(1, 1_000_000), unit="steps", doc="Interval between checkpoints.")
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """What :class:`TrainSettings` mean for one run; steps count from 1, after they are done.
+
+    Attributes
+    ----------
+    steps:
+        Length of the run.
+    densify_first, densify_last:
+        Densification happens after steps in ``(densify_first, densify_last]`` ...
+    densify_every:
+        ... at this interval: the setting, or a twelfth of that span where that is shorter.
+    reset_every:
+        Opacities are set back at multiples of this up to ``densify_last``; 0: never.
+    sh_every:
+        The SH degree rises at multiples of this: the setting, or a sixth of the run where that is shorter, so
+        that the last degree has half of the run to be learned.
+    sh_degree:
+        The highest degree.
+    """
+
+    steps: int
+    densify_first: int
+    densify_last: int
+    densify_every: int
+    reset_every: int
+    sh_every: int
+    sh_degree: int
+
+    @classmethod
+    def of(cls, settings: TrainSettings) -> Schedule:
+        """Return the schedule of a run with these settings."""
+        first = round(settings.densify_start * settings.steps)
+        last = round(settings.densify_stop * settings.steps)
+        return cls(
+            steps=settings.steps,
+            densify_first=first,
+            densify_last=last,
+            densify_every=max(1, min(settings.densify_every, (last - first) // _ROUNDS)),
+            reset_every=settings.reset_every,
+            sh_every=max(1, min(settings.sh_every, settings.steps // 6)),
+            sh_degree=settings.sh_degree,
+        )
+
+    def densifies_after(self, step: int) -> bool:
+        """Say whether Gaussians are densified and pruned after this step."""
+        inside = self.densify_first < step <= self.densify_last
+        return inside and (step - self.densify_first) % self.densify_every == 0
+
+    def observes(self, step: int) -> bool:
+        """Say whether this step's screen-space gradients will ever be read."""
+        return step <= self.densify_last and self.densify_first < self.densify_last
+
+    def resets_after(self, step: int) -> bool:
+        """Say whether opacities are set back after this step."""
+        return self.reset_every > 0 and step % self.reset_every == 0 and step < self.densify_last
+
+    def prunes_large_after(self, step: int) -> bool:
+        """Say whether too large Gaussians are removed after this step: once opacities were set back."""
+        return self.reset_every > 0 and step > self.reset_every
+
+    def sh_degree_at(self, step: int) -> int:
+        """Return the degree with which this step is drawn."""
+        return min(self.sh_degree, (step - 1) // self.sh_every)
+
+
+def means_rate(settings: TrainSettings, step: int) -> float:
+    """Return the learning rate of centres at a step, in scene extents: exponential from first to last step."""
+    first, last = settings.lr_means, settings.lr_means_final
+    if settings.steps == 1 or first == 0 or last == 0:
+        return first
+    share = (step - 1) / (settings.steps - 1)
+    return math.exp((1 - share) * math.log(first) + share * math.log(last))

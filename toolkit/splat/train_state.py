@@ -1,0 +1,172 @@
+"""All that changes while Gaussians are trained, and its way into a checkpoint and back."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from toolkit.scene import Scene
+from toolkit.splat.checkpoint import Checkpoint
+from toolkit.splat.density import DensityChange, DensityControl
+from toolkit.splat.gaussians import Gaussians
+from toolkit.splat.images import Photo
+from toolkit.splat.initialise import gaussians_from_points
+from toolkit.splat.optimiser import GaussianOptimiser
+from toolkit.splat.train_settings import TrainSettings
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryRow:
+    """One step of a training.
+
+    Attributes
+    ----------
+    step:
+        From 1 on.
+    loss:
+        Of this step's photo.
+    gaussians:
+        How many there were after the step.
+    psnr_test:
+        In dB, of one test photo that is always the same; None at steps where it was not measured. A curve to look
+        at; a test set is measured after the training.
+    """
+
+    step: int
+    loss: float
+    gaussians: int
+    psnr_test: float | None = None
+
+
+@dataclass
+class TrainState:
+    """A training between two steps.
+
+    Attributes
+    ----------
+    optimiser, density:
+        The Gaussians with all that is kept for each of them.
+    generator:
+        The only source of randomness: order of photos, positions of split Gaussians, background.
+    order, position:
+        (F,) int64 permutation of the photos of this round, and how many of them were used.
+    step:
+        Steps that are done.
+    history:
+        A row a step.
+    changes:
+        What density control did in all.
+    seconds:
+        Wall time of the steps in all sessions, by what it was spent on.
+    initial_gaussians:
+        How many there were before the first step.
+    """
+
+    optimiser: GaussianOptimiser
+    density: DensityControl
+    generator: torch.Generator
+    order: Tensor
+    position: int = 0
+    step: int = 0
+    history: list[HistoryRow] = field(default_factory=list)
+    changes: DensityChange = field(default_factory=DensityChange)
+    seconds: dict[str, float] = field(default_factory=dict)
+    initial_gaussians: int = 0
+
+    @classmethod
+    def start(
+        cls, scene: Scene, photos: int, settings: TrainSettings, extent: float, seed: int, device: str
+    ) -> TrainState:
+        """Return the state before the first step."""
+        generator = torch.Generator().manual_seed(seed)
+        gaussians = gaussians_from_points(scene.points, opacity=settings.initial_opacity)
+        gaussians = _at_most(gaussians, settings.max_gaussians, generator).to(device=device)
+        return cls(
+            optimiser=GaussianOptimiser(gaussians),
+            density=DensityControl.start(settings, extent, gaussians),
+            generator=generator,
+            order=torch.randperm(photos, generator=generator),
+            initial_gaussians=len(gaussians),
+        )
+
+    def next_photo(self) -> int:
+        """Return the number of the next photo: random order, every photo once before any comes twice."""
+        if self.position == len(self.order):
+            self.order = torch.randperm(len(self.order), generator=self.generator)
+            self.position = 0
+        self.position += 1
+        return int(self.order[self.position - 1])
+
+    def checkpoint(self, made_with: Mapping[str, Any]) -> Checkpoint:
+        """Return all of this, with what the run was started with."""
+        tensors = {
+            **self.optimiser.tensors(),
+            **self.density.tensors(),
+            "generator": self.generator.get_state(),
+            "order": self.order,
+        }
+        state = {
+            "made_with": dict(made_with),
+            "position": self.position,
+            "history": [[row.step, row.loss, row.gaussians, row.psnr_test] for row in self.history],
+            "changes": asdict(self.changes),
+            "seconds": self.seconds,
+            "initial_gaussians": self.initial_gaussians,
+        }
+        return Checkpoint(self.step, tensors, state)
+
+    @classmethod
+    def resume(cls, checkpoint: Checkpoint, settings: TrainSettings, extent: float, device: str) -> TrainState:
+        """Return the state that :meth:`checkpoint` wrote down."""
+        on_device = {
+            name: tensor if name in ("generator", "order") else tensor.to(device)
+            for name, tensor in checkpoint.tensors.items()
+        }
+        generator = torch.Generator()
+        generator.set_state(on_device["generator"])
+        return cls(
+            optimiser=GaussianOptimiser.from_tensors(on_device),
+            density=DensityControl.from_tensors(settings, extent, on_device),
+            generator=generator,
+            order=on_device["order"],
+            position=checkpoint.state["position"],
+            step=checkpoint.step,
+            history=[HistoryRow(*row) for row in checkpoint.state["history"]],
+            changes=DensityChange(**checkpoint.state["changes"]),
+            seconds=dict(checkpoint.state["seconds"]),
+            initial_gaussians=checkpoint.state["initial_gaussians"],
+        )
+
+
+def _at_most(gaussians: Gaussians, count: int, generator: torch.Generator) -> Gaussians:
+    """Return all Gaussians, or ``count`` of them by chance, larger so that they fill the same space."""
+    if len(gaussians) <= count:
+        return gaussians
+    rows = torch.randperm(len(gaussians), generator=generator)[:count].sort().values
+    # Points lie on surfaces: a k-th of them are sqrt(k) times as far apart.
+    wider = 0.5 * torch.log(torch.tensor(len(gaussians) / count))
+    fewer = gaussians.map(lambda tensor: tensor[rows])
+    return replace(fewer, log_scales=fewer.log_scales + wider)
+
+
+def scene_fingerprint(scene: Scene, photos: Iterable[Photo]) -> dict[str, str]:
+    """Return hashes of what a training reads of a scene, part by part so that a difference can be named."""
+    poses, pictures, points = hashlib.sha256(), hashlib.sha256(), hashlib.sha256()
+    for photo in photos:
+        camera = photo.camera
+        poses.update(json.dumps([photo.name, camera.width, camera.height, camera.params]).encode())
+        poses.update(photo.views.cam_from_world.cpu().numpy().tobytes())
+        pictures.update(photo.pixels.numpy().tobytes())
+        if photo.mask is not None:
+            pictures.update(photo.mask.numpy().tobytes())
+    if scene.points is not None:
+        points.update(scene.points.xyz.tobytes())
+        points.update(scene.points.rgb.tobytes())
+    parts = {"cameras and poses": poses, "pictures and masks": pictures, "points": points}
+    return {name: digest.hexdigest()[:16] for name, digest in parts.items()}
