@@ -37,7 +37,7 @@ setup: $(VENV)/.core  ## Install the toolkit into .venv.
 features: $(VENV)/.features  ## Add the learned features and matchers (DISK, ALIKED, LightGlue).
 
 demo: $(VENV)/.core  ## Make a sample flight, run one method in two ways on it, compare the two.
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m toolkit demo --runs $(DEMO)
+	$(BIN)/toolkit demo --folder $(DEMO)
 
 test: $(VENV)/.dev  ## Run the tests.
 	$(BIN)/python -m pytest

@@ -1,28 +1,60 @@
-"""The demonstration: a sample flight, one method run in two ways on it, the two laid side by side."""
+"""The demonstration: a sample flight, one method run on it in two ways, the two laid side by side."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-from toolkit.errors import RunError
+from toolkit.files import read_json
 from toolkit.progress import Progress
 from toolkit.recipes.registry import find_recipe
 from toolkit.runs.compare import Comparison, compare_runs
 from toolkit.runs.launch import create_run, execute
+from toolkit.runs.report_html import write_report
 from toolkit.samples.make import SampleSettings, make_sample
 
-_RECIPE = "colmap-3dgs"
+RECIPE = "colmap-3dgs"
+SEED = 0
 
-# A size that ends within about five minutes on two cores.
-_SAMPLE = {
+# Sizes that end within about five minutes on two cores.
+SAMPLE: dict[str, Any] = {
     "flight.frames": 32,
-    "flight.width": 480,
-    "flight.height_px": 360,
+    "flight.image_width": 480,
+    "flight.image_height": 360,
 }
-_SETTINGS = {
+COMMON: dict[str, Any] = {
     "sift.max_features": 2048,
-    "sift.first_octave": 0,
-    "train.steps": 600,
+    "train.steps": 700,
     "train.max_side": 320,
 }
-_WAYS = {"exhaustive": {"pairs.method": "exhaustive"}, "spatial": {"pairs.method": "spatial"}}
+WAYS: dict[str, dict[str, Any]] = {
+    "exhaustive": {"pairs.method": "exhaustive"},
+    "spatial": {"pairs.method": "spatial"},
+}
+
+
+def run_demo(folder: Path, progress: Progress) -> tuple[Comparison, Path]:
+    """Make the sample flight in ``folder/town``, run the recipe with both kinds of pairs, and compare.
+
+    A second call finds the flight and the stages that do not change, and trains again.
+
+    Returns
+    -------
+    comparison, page:
+        The two runs side by side, and the path of the same as one HTML page.
+    """
+    sample = SampleSettings().replace(SAMPLE)
+    town = folder / "town"
+    made_with = {"seed": SEED, "settings": sample.to_dict()}
+    if not (town / "sample.json").is_file() or read_json(town / "sample.json") != made_with:
+        make_sample(town, sample, seed=SEED, progress=progress)
+    recipe = find_recipe(RECIPE)
+    runs = []
+    for name, way in WAYS.items():
+        settings = recipe.settings_type().replace({**COMMON, **way})
+        runs.append(create_run(recipe, town, settings, folder / "runs", seed=SEED, name=name))
+        execute(runs[-1], progress)
+    comparison = compare_runs(runs)
+    page = folder / "compare.html"
+    write_report(comparison, page, progress=progress)
+    return comparison, page

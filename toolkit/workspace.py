@@ -37,9 +37,10 @@ def code_version(*modules: ModuleType) -> str:
     """Return a hash of the source files of ``modules``; a package counts with every file in it."""
     digest = hashlib.sha256()
     for module in modules:
-        if module.__file__ is None:
+        file_name = getattr(module, "__file__", None)
+        if file_name is None:
             raise ValueError(f"{module.__name__} has no source file")
-        source = Path(module.__file__)
+        source = Path(file_name)
         files = sorted(source.parent.rglob("*.py")) if source.name == "__init__.py" else [source]
         for file in files:
             digest.update(file.name.encode() + b"\0" + file.read_bytes())

@@ -15,10 +15,10 @@ from toolkit.scene import Frame, Points, Scene
 from toolkit.splat.gaussians import SH_C0, Gaussians
 from toolkit.splat.rasterize import RasterSettings, Views, rasterize
 
-WIDTH, HEIGHT = 48, 32
+WIDTH, HEIGHT = 36, 24
 
 
-def true_gaussians(count: int = 40, seed: int = 0) -> Gaussians:
+def true_gaussians(count: int = 30, seed: int = 0) -> Gaussians:
     """Coloured blobs within one unit of the origin, degree 0."""
     generator = torch.Generator().manual_seed(seed)
     directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
@@ -31,13 +31,13 @@ def true_gaussians(count: int = 40, seed: int = 0) -> Gaussians:
     )
 
 
-def make_scene(folder: Path, *, cameras: int = 9, points: int = 60, seed: int = 0) -> Scene:
+def make_scene(folder: Path, *, cameras: int = 9, points: int = 50, seed: int = 0) -> Scene:
     """Write photos of :func:`true_gaussians` as PNG and return the scene; frames 0 and 4 and 8 are for testing.
 
     Its points are the centres of the Gaussians and noisy copies of them, in the right colours.
     """
     truth = true_gaussians(seed=seed)
-    camera = ColmapCamera.pinhole(WIDTH, HEIGHT, 50.0)
+    camera = ColmapCamera.pinhole(WIDTH, HEIGHT, 38.0)
     frames = []
     (folder / "images").mkdir(parents=True)
     for i, angle in enumerate(np.linspace(-0.6, 0.6, cameras)):

@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 #: Points whose second singular value is below this fraction of the first lie on a line. It separates the rounding
 #: of single-precision coordinates (about 1e-7) from a trajectory that really bends.
 COLLINEAR = 1e-6
-#: The same for the least curvature of the alignment cost in rotation, which is of second order in the spread.
+#: The same for the least curvature of the alignment cost in rotation, which is of second order in the spread,
+#: against what it could be at most.
 UNDETERMINED = COLLINEAR**2
 
 
@@ -116,8 +117,10 @@ def align(source: ArrayLike, target: ArrayLike, *, with_scale: bool) -> Similari
     for name, points in (("source", a), ("target", b)):
         _check_spread(name, points)
     centred_a, centred_b = a - a.mean(axis=0), b - b.mean(axis=0)
-    rotation, strength = _nearest_rotation(centred_b.T @ centred_a / len(a))
-    return _with_rotation(a, b, rotation, strength / _variance(a) if with_scale else 1.0)
+    variance_a, variance_b = (float(np.sum(c**2)) / len(a) for c in (centred_a, centred_b))
+    covariance = centred_b.T @ centred_a / len(a)
+    rotation, strength = _nearest_rotation(covariance, float(np.sqrt(variance_a * variance_b)))
+    return _with_rotation(a, b, rotation, strength / variance_a if with_scale else 1.0)
 
 
 def align_poses(
@@ -167,7 +170,7 @@ def align_poses(
     centred_a, centred_b = a - a.mean(axis=0), b - b.mean(axis=0)
     if moves:
         covariance += centred_b.T @ centred_a / np.sqrt(np.sum(centred_a**2) * np.sum(centred_b**2))
-    rotation, _ = _nearest_rotation(covariance)
+    rotation, _ = _nearest_rotation(covariance, 1.0)
     scale = 1.0
     if with_scale:
         scale = float(np.sum(centred_b * (centred_a @ rotation.T)) / np.sum(centred_a**2))
@@ -199,11 +202,6 @@ def _corresponding(source: ArrayLike, target: ArrayLike) -> tuple[Array, Array]:
     return a, b
 
 
-def _variance(points: Array) -> float:
-    """Return the mean squared distance of points (N, 3) from their middle."""
-    return float(np.sum((points - points.mean(axis=0)) ** 2) / len(points))
-
-
 def _coincident(points: Array) -> bool:
     """Whether points (N, 3) differ by no more than the rounding of their coordinates."""
     rounding = 8 * np.finfo(np.float64).eps * float(np.abs(points).max())
@@ -228,13 +226,16 @@ def _check_spread(name: str, points: Array) -> None:
         )
 
 
-def _nearest_rotation(covariance: Array) -> tuple[Array, float]:
-    """Return the rotation R with the largest trace(R^T covariance), and that trace (Umeyama, lemma)."""
+def _nearest_rotation(covariance: Array, strongest: float) -> tuple[Array, float]:
+    """Return the rotation R with the largest trace(R^T covariance), and that trace (Umeyama, lemma).
+
+    ``strongest`` is the trace that sets of exactly the same shape would reach.
+    """
     u, d, vt = np.linalg.svd(covariance)
     sign = 1.0 if np.linalg.det(u) * np.linalg.det(vt) > 0 else -1.0
     # The cost curves least, by d[1] + sign * d[2], for rotations about the strongest axis: without curvature
     # every roll about it fits as well as the other.
-    if d[1] + sign * d[2] <= UNDETERMINED * d[0]:
+    if d[1] + sign * d[2] <= UNDETERMINED * strongest:
         raise StageError(
             "Cannot align: no rotation fits better than all others",
             expected="two sets of the same shape",

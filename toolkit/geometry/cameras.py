@@ -5,7 +5,7 @@ Pixel centres are at +0.5: the top-left pixel's centre is (0.5, 0.5), as in COLM
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -56,6 +56,9 @@ class ColmapCamera:
         Image size in pixels.
     params:
         The model's parameters in COLMAP's order (focal lengths and principal point in pixels).
+    prior_focal_length:
+        True where the focal length was measured (EXIF, calibration) and is no guess: structure from motion then
+        trusts it from the start. It takes no part in comparisons.
 
     Raises
     ------
@@ -68,6 +71,7 @@ class ColmapCamera:
     width: int
     height: int
     params: tuple[float, ...]
+    prior_focal_length: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "params", tuple(float(value) for value in self.params))
@@ -109,13 +113,21 @@ class ColmapCamera:
     @classmethod
     def from_pycolmap(cls, camera: pycolmap.Camera) -> ColmapCamera:
         """Return a copy of a ``pycolmap.Camera``."""
-        return cls(camera.model.name, int(camera.width), int(camera.height), tuple(camera.params))
+        return cls(
+            camera.model.name,
+            int(camera.width),
+            int(camera.height),
+            tuple(camera.params),
+            bool(camera.has_prior_focal_length),
+        )
 
     def to_pycolmap(self, camera_id: int = 1) -> pycolmap.Camera:
         """Return this camera as a ``pycolmap.Camera``."""
-        return pycolmap.Camera(
+        camera = pycolmap.Camera(
             camera_id=camera_id, model=self.model, width=self.width, height=self.height, params=self.params
         )
+        camera.has_prior_focal_length = self.prior_focal_length
+        return camera
 
     @cached_property
     def _colmap(self) -> pycolmap.Camera:

@@ -65,7 +65,9 @@ class RigidTransform:
         forward = np.asarray(target, float) - position
         distance, height = np.linalg.norm(forward), np.linalg.norm(np.asarray(up, float))
         if not (distance > 0 and height > 0):
-            raise ValueError(f"expected a target away from the centre and an up, got {target}, {centre} and {up}")
+            raise ValueError(
+                f"expected a target away from the centre and an up, got {target!r}, {centre!r}, {up!r}"
+            )
         forward = forward / distance
         for upward in (np.asarray(up, float) / height, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]):
             right = np.cross(forward, upward)

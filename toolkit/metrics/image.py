@@ -68,7 +68,7 @@ def ssim(a: Image, b: Image, mask: Mask | None = None, *, border: Literal["zero"
     border:
         ``"zero"`` takes the world outside the picture as black and averages over all pixels, as the code of 3D
         Gaussian splatting (Kerbl et al. 2023) and most papers after it do. ``"crop"`` averages only over pixels
-        whose window lies inside, as scikit-image and torchmetrics do.
+        whose window lies inside, as scikit-image does. (torchmetrics mirrors the picture at its border.)
 
     Raises
     ------

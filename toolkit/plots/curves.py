@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 
-from toolkit.plots.style import colour, dash, figure
+from toolkit.plots.style import colour, dash, figure, shown
 
 #: Most points drawn of one curve: more cannot be told apart on a screen and make pages heavy.
 MOST_POINTS = 1500
@@ -37,13 +37,14 @@ def curve_figure(
         drawn.add_scatter(
             x=xs[keep],
             y=ys[keep],
-            name=label,
+            name=shown(label),
             mode="lines" if len(xs) > 1 else "markers",
             line={"color": colour(position), "width": 2, "dash": dash(position)},
             marker={"color": colour(position), "size": 8},
         )
     drawn.update_xaxes(title_text=x_title)
-    drawn.update_yaxes(type="log" if log else "linear")
+    if log:
+        drawn.update_yaxes(type="log", dtick="D2")
     return drawn
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+
 import plotly.graph_objects as go
 
 #: Told apart on white and on near-black; the first four also by people who do not see red and green apart.
@@ -11,15 +13,22 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 GRID = "rgba(128,138,156,0.25)"
 NEUTRAL = "rgba(128,138,156,0.95)"
 
+_AXIS = {
+    "gridcolor": GRID,
+    "linecolor": GRID,
+    "zeroline": False,
+    "automargin": True,
+    "title": {"font": {"size": 13}, "standoff": 6},
+}
 _TEMPLATE = go.layout.Template(
     layout={
         "font": {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 13},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "margin": {"l": 56, "r": 16, "t": 44, "b": 44},
-        "xaxis": {"gridcolor": GRID, "linecolor": GRID, "zeroline": False, "automargin": True},
-        "yaxis": {"gridcolor": GRID, "linecolor": GRID, "zeroline": False, "automargin": True},
-        "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.0, "xanchor": "right", "x": 1.0},
+        "xaxis": _AXIS,
+        "yaxis": _AXIS,
+        "legend": {"orientation": "h", "yanchor": "top", "y": -0.24, "xanchor": "left", "x": 0},
         "hoverlabel": {"namelength": -1},
     }
 )
@@ -35,11 +44,15 @@ def dash(position: int) -> str:
     return DASHES[position // len(COLOURS) % len(DASHES)]
 
 
+def shown(text: str) -> str:
+    """Return ``text`` as Plotly draws it letter by letter: left alone, it takes tags in names for formatting."""
+    return html.escape(text, quote=False)
+
+
 def figure(title: str, height: int, **layout: object) -> go.Figure:
     """Return an empty figure in the common style."""
     made = go.Figure()
-    made.update_layout(
-        template=_TEMPLATE, title={"text": title, "x": 0, "xref": "paper", "font": {"size": 15}}, height=height
-    )
+    heading = {"text": shown(title), "x": 0, "xref": "paper", "font": {"size": 15}}
+    made.update_layout(template=_TEMPLATE, title=heading, height=height)
     made.update_layout(**layout)
     return made

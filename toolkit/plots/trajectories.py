@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.plots.style import GRID, NEUTRAL, colour, dash, figure
+from toolkit.plots.style import NEUTRAL, colour, dash, figure, shown
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def trajectory_figure(
     most_cameras:
         Most pyramids drawn a path; centres are all drawn.
     """
-    drawn = figure("", 560, margin={"l": 0, "r": 0, "t": 36, "b": 0}, showlegend=True)
+    drawn = figure("", 560, margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=True)
     everything = [_centres(poses) for poses in [*paths.values(), reference or {}] if poses]
     size = 0.04 * _extent(np.concatenate(everything)) if everything else 1.0
     if reference:
@@ -44,10 +44,17 @@ def trajectory_figure(
     for position, (label, poses) in enumerate(paths.items()):
         if poses:
             _add_path(drawn, label, poses, colour(position), dash(position), size, most_cameras)
-    axis = {"gridcolor": GRID, "zerolinecolor": GRID, "showbackground": False, "showspikes": False}
+    axis = {"gridcolor": NEUTRAL, "zerolinecolor": NEUTRAL, "showbackground": False, "showspikes": False}
     drawn.update_layout(
-        scene={"aspectmode": "data", "xaxis": axis, "yaxis": axis, "zaxis": axis, "dragmode": "orbit"},
-        legend={"x": 0, "xanchor": "left"},
+        legend={"y": 1.0},
+        scene={
+            "aspectmode": "data",
+            "camera": {"eye": {"x": 1.15, "y": -1.15, "z": 0.85}},
+            "xaxis": axis,
+            "yaxis": axis,
+            "zaxis": axis,
+            "dragmode": "orbit",
+        },
     )
     return drawn
 
@@ -66,13 +73,13 @@ def _add_path(
         x=centres[:, 0],
         y=centres[:, 1],
         z=centres[:, 2],
-        name=label,
+        name=shown(label),
         legendgroup=label,
         mode="lines+markers",
         line={"color": shade, "width": 4, "dash": line},
         marker={"color": shade, "size": 3},
-        text=list(poses),
-        hovertemplate="%{text}<br>%{x:.3f}, %{y:.3f}, %{z:.3f}<extra>" + label + "</extra>",
+        text=[shown(name) for name in poses],
+        hovertemplate="%{text}<br>%{x:.3f}, %{y:.3f}, %{z:.3f}<extra>%{fullData.name}</extra>",
     )
     every = max(1, -(-len(poses) // most_cameras))
     lines = camera_lines(list(poses.values())[::every], size)

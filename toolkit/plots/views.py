@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import plotly.graph_objects as go
 
-from toolkit.plots.style import colour, figure
+from toolkit.plots.style import colour, figure, shown
 
 
-def view_figure(measures: Mapping[str, Mapping[str, float]], names: Sequence[str], *, title: str) -> go.Figure:
+def view_figure(measures: Mapping[str, Mapping[str, float]], names: Sequence[str], *, measure: str) -> go.Figure:
     """Draw one mark a run and test picture.
 
     Parameters
@@ -18,17 +18,20 @@ def view_figure(measures: Mapping[str, Mapping[str, float]], names: Sequence[str
         By the run's label, the measure by picture name; pictures may be missing.
     names:
         Pictures from left to right.
-    title:
+    measure:
         What was measured, with its unit.
     """
-    drawn = figure(title, 300, showlegend=len(measures) > 1, hovermode="x unified")
+    drawn = figure("", 320, showlegend=len(measures) > 1, hovermode="x unified")
     for position, (label, values) in enumerate(measures.items()):
         drawn.add_scatter(
-            x=list(names),
+            x=[shown(name) for name in names],
             y=[values.get(name) for name in names],
-            name=label,
+            name=shown(label),
             mode="markers",
             marker={"color": colour(position), "size": 9, "opacity": 0.85},
         )
+    # Slanted names need the room below, where the legend is elsewhere.
+    drawn.update_layout(margin={"t": 16}, legend={"y": 1.02, "yanchor": "bottom"})
+    drawn.update_yaxes(title_text=measure)
     drawn.update_xaxes(type="category", showticklabels=len(names) <= 24, tickangle=-40)
     return drawn

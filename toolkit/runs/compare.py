@@ -139,10 +139,11 @@ def _read(runs: Sequence[RunFolder]) -> tuple[ComparedRun, ...]:
 
 
 def _facts(runs: Sequence[ComparedRun]) -> tuple[TextRow, ...]:
-    facts: dict[str, Callable[[ComparedRun], str]] = {
+    facts: dict[str, Callable[[ComparedRun], str | None]] = {
         "id": lambda item: item.run.id,
         "recipe": lambda item: item.record.recipe,
         "state": lambda item: item.status.state,
+        "stage": _progress,
         "data": lambda item: item.record.data,
         "data fingerprint": lambda item: item.record.data_fingerprint[:12],
         "seed": lambda item: str(item.record.seed),
@@ -152,7 +153,17 @@ def _facts(runs: Sequence[ComparedRun]) -> tuple[TextRow, ...]:
         "processor": lambda item: f"{item.record.machine.get('cpu')}, {item.record.machine.get('cores')} cores",
         "threads": lambda item: ", ".join(f"{name} {count}" for name, count in item.record.threads.items()),
     }
-    return tuple(TextRow(name, tuple(tell(item) for item in runs)) for name, tell in facts.items())
+    rows = (TextRow(name, tuple(tell(item) for item in runs)) for name, tell in facts.items())
+    return tuple(row for row in rows if any(value is not None for value in row.values))
+
+
+def _progress(item: ComparedRun) -> str | None:
+    """Say where a run is that did not finish, None for one that did or did not begin."""
+    status = item.status
+    if status.state == "finished" or not status.stage:
+        return None
+    at = f"{status.stage} {status.done}" + (f" of {status.total}" if status.total is not None else "")
+    return f"{at} {status.message}".rstrip()
 
 
 def _code(record: RunRecord) -> str:
@@ -183,7 +194,7 @@ def _settings(runs: Sequence[ComparedRun]) -> tuple[tuple[TextRow, ...], tuple[s
         if not all(name in table for table in tables):
             partial.append(name)
         elif any(table[name] != tables[0][name] for table in tables):
-            rows.append(TextRow(name, tuple(json.dumps(table[name]) for table in tables)))
+            rows.append(TextRow(name, tuple(_value_text(table[name]) for table in tables)))
     notes = []
     for item, table in zip(runs, tables, strict=True):
         own = [name for name in partial if name in table]
@@ -191,6 +202,11 @@ def _settings(runs: Sequence[ComparedRun]) -> tuple[tuple[TextRow, ...], tuple[s
             shown = ", ".join(own[:6]) + (f" and {len(own) - 6} more" if len(own) > 6 else "")
             notes.append(f"{item.label} has settings that not all have: {shown}")
     return tuple(rows), tuple(notes)
+
+
+def _value_text(value: Any) -> str:
+    """Return a setting's value for a person; texts without quotes unless they would vanish."""
+    return value if isinstance(value, str) and value.strip() else json.dumps(value)
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -116,13 +116,13 @@ class CurveWriter:
     """
 
     def __init__(self, path: Path) -> None:
+        # Read first: a file that is not ours stays as it is.
+        begun = path.is_file() and b"\n" in path.read_bytes()
+        curves = read_curves(path).curves if begun else ()
+        self.seconds = max((float(curve.seconds.max()) for curve in curves), default=0.0)
         self._lines = LineFile(path)
-        self.seconds = 0.0
-        if self._lines.empty:
+        if not begun:
             self._lines.append(HEADER + "\n")
-        else:
-            curves = read_curves(path).curves
-            self.seconds = max((float(curve.seconds.max()) for curve in curves), default=0.0)
 
     def write(self, seconds: float, stage: str, step: int, values: Mapping[str, float]) -> None:
         """Append the measurements of one step."""

@@ -26,7 +26,6 @@ class LineFile:
             whole = content.rfind(b"\n") + 1
             if whole < len(content):
                 self._file.truncate(whole)
-        self.empty = whole == 0
 
     def append(self, text: str) -> None:
         """Append ``text``, which ends with a newline."""

@@ -21,29 +21,45 @@ body {
   -webkit-text-size-adjust: 100%;
 }
 main { max-width: 1240px; margin: 0 auto; padding: 28px 20px 64px; }
-header.page h1 { font-size: 28px; line-height: 1.2; letter-spacing: -.015em; margin: 0 0 4px; overflow-wrap: anywhere; }
+header.page h1 {
+  font-size: 28px; line-height: 1.2; letter-spacing: -.015em; margin: 0 0 4px; overflow-wrap: anywhere;
+}
 header.page p { margin: 0; color: var(--muted); }
 h2 { font-size: 19px; letter-spacing: -.01em; margin: 40px 0 12px; }
 p.note { color: var(--muted); margin: 0 0 12px; font-size: 14px; }
-code, .mono, pre { font-family: ui-monospace, "SF Mono", Menlo, Consolas, "DejaVu Sans Mono", monospace; font-size: 12.5px; }
+code, .mono, pre {
+  font-family: ui-monospace, "SF Mono", Menlo, Consolas, "DejaVu Sans Mono", monospace; font-size: 12.5px;
+}
 .card, .scroll, details {
   background: var(--card); border: 1px solid var(--line); border-radius: 12px; box-shadow: var(--shade);
 }
-.dot { display: inline-block; width: 11px; height: 11px; border-radius: 50%; flex: none; background: var(--run); }
-.runs { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(min(290px, 100%), 1fr)); margin-top: 22px; }
+.dot {
+  display: inline-block; width: 11px; height: 11px; border-radius: 50%; flex: none; background: var(--run);
+}
+.runs {
+  display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(min(270px, 100%), 1fr));
+  margin-top: 22px;
+}
 .run { padding: 16px 18px; border-top: 3px solid var(--run); min-width: 0; }
 .run h3 { display: flex; gap: 8px; align-items: center; font-size: 16px; margin: 0; overflow-wrap: anywhere; }
 .run .badge { margin-left: auto; }
 .run .what { color: var(--muted); font-size: 13.5px; overflow-wrap: anywhere; }
-.badge { font-size: 12px; font-weight: 600; padding: 2px 9px; border-radius: 99px; background: var(--line); white-space: nowrap; }
+.badge {
+  font-size: 12px; font-weight: 600; padding: 2px 9px; border-radius: 99px; background: var(--line);
+  white-space: nowrap;
+}
 .badge.finished { background: var(--best-ground); color: var(--best); }
 .badge.failed, .badge.interrupted, .badge.cancelled { background: var(--warn-ground); color: var(--warn); }
 .numbers { display: flex; flex-wrap: wrap; gap: 6px 26px; margin: 14px 0 10px; }
 .numbers div { display: flex; flex-direction: column-reverse; }
-.numbers b { font-size: 22px; line-height: 1.25; font-weight: 650; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.numbers b {
+  font-size: 22px; line-height: 1.25; font-weight: 650; font-variant-numeric: tabular-nums;
+  white-space: nowrap;
+}
 .numbers span { font-size: 12px; color: var(--muted); }
 .warnings {
-  margin: 20px 0 0; padding: 12px 16px 12px 34px; border-radius: 12px; background: var(--warn-ground); color: var(--warn);
+  margin: 20px 0 0; padding: 12px 16px 12px 34px; border-radius: 12px; background: var(--warn-ground);
+  color: var(--warn);
 }
 .warnings li + li { margin-top: 4px; }
 .scroll { overflow-x: auto; }
@@ -55,28 +71,40 @@ thead th .dot { margin-right: 7px; width: 9px; height: 9px; }
 tbody th { font-weight: 500; position: sticky; left: 0; background: var(--card); }
 tbody th small { color: var(--muted); font-weight: 400; margin-left: 6px; }
 table.numeric td { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+table.single { width: auto; min-width: min(420px, 100%); }
 table.numeric thead th:not(:first-child) { text-align: right; }
-table.text td { overflow-wrap: anywhere; min-width: 9em; }
-td.best b { display: inline-block; margin: -1px -8px; padding: 1px 8px; border-radius: 7px; background: var(--best-ground); color: var(--best); }
+table.text td { overflow-wrap: anywhere; min-width: 11em; }
+td.best b {
+  display: inline-block; margin: -1px -8px; padding: 1px 8px; border-radius: 7px;
+  background: var(--best-ground); color: var(--best);
+}
 td small { color: var(--muted); margin-left: 5px; }
-tr.total > * { font-weight: 650; }
+table.total tbody tr:last-child > * { font-weight: 650; }
 .charts { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(min(430px, 100%), 1fr)); }
 .chart { padding: 10px 12px 4px; min-width: 0; overflow: hidden; }
 .bar { display: flex; flex-wrap: wrap; align-items: center; gap: 8px 14px; margin: 0 0 12px; }
-.choice { display: inline-flex; border: 1px solid var(--line); border-radius: 9px; overflow: hidden; background: var(--card); }
+.choice {
+  display: inline-flex; border: 1px solid var(--line); border-radius: 9px; overflow: hidden;
+  background: var(--card);
+}
 .choice button {
-  border: 0; background: none; color: var(--muted); font: inherit; font-size: 13.5px; padding: 6px 14px; cursor: pointer;
+  border: 0; background: none; color: var(--muted); font: inherit; font-size: 13.5px; padding: 6px 14px;
+  cursor: pointer;
 }
 .choice button + button { border-left: 1px solid var(--line); }
 .choice button[aria-pressed=true] { background: var(--accent); color: var(--card); font-weight: 600; }
-.choice button:focus-visible, input:focus-visible, summary:focus-visible { outline: 2px solid var(--accent); outline-offset: 2px; }
-.views { display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(var(--view), 100%), 1fr)); }
+.choice button:focus-visible, input:focus-visible, summary:focus-visible {
+  outline: 2px solid var(--accent); outline-offset: 2px;
+}
+.views {
+  display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(var(--view), 100%), 1fr));
+}
 .view { padding: 12px; min-width: 0; }
 .view h3 { margin: 0 2px 8px; font-size: 14px; font-weight: 600; overflow-wrap: anywhere; }
 .panels { display: grid; gap: 10px; grid-template-columns: repeat(auto-fit, minmax(min(220px, 100%), 1fr)); }
 figure { margin: 0; min-width: 0; }
 .stack {
-  position: relative; border-radius: 8px; overflow: hidden; isolation: isolate; background: #808080;
+  position: relative; border-radius: 8px; overflow: hidden; isolation: isolate; background: #000;
   cursor: ew-resize; touch-action: pan-y; user-select: none; line-height: 0;
 }
 .stack img { width: 100%; height: auto; display: block; -webkit-user-drag: none; }
@@ -86,11 +114,17 @@ figure { margin: 0; min-width: 0; }
   background: #fff; box-shadow: 0 0 4px rgba(0, 0, 0, .6);
 }
 .tag {
-  position: absolute; bottom: 8px; padding: 1px 7px; border-radius: 6px; background: rgba(0, 0, 0, .55); color: #fff;
+  position: absolute; bottom: 8px; padding: 1px 7px; border-radius: 6px; background: rgba(0, 0, 0, .55);
+  color: #fff;
   font-size: 11px; line-height: 1.6; pointer-events: none;
 }
 .tag.left { left: 8px; } .tag.right { right: 8px; }
-[data-mode=photo] .render, [data-mode=photo] .right, [data-mode=render] .left, [data-mode=difference] .tag { display: none; }
+[data-mode=photo] .render,
+[data-mode=photo] .right,
+[data-mode=render] .left,
+[data-mode=difference] .tag {
+  display: none;
+}
 [data-mode=render] .render, [data-mode=difference] .render { clip-path: none; }
 [data-mode=difference] .render { mix-blend-mode: difference; }
 [data-mode=difference] .stack { filter: brightness(2.5); }
@@ -99,22 +133,31 @@ figure { margin: 0; min-width: 0; }
 :is([data-mode=photo], [data-mode=render], [data-mode=difference]) .view input { visibility: hidden; }
 figcaption { display: flex; gap: 7px; align-items: center; font-size: 13px; margin: 6px 2px 0; min-width: 0; }
 figcaption .name { overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
-figcaption .score { margin-left: auto; color: var(--muted); white-space: nowrap; font-variant-numeric: tabular-nums; }
+figcaption .score {
+  margin-left: auto; color: var(--muted); white-space: nowrap; font-variant-numeric: tabular-nums;
+}
 figcaption .score b { color: var(--text); }
 figcaption .score.best b { color: var(--best); }
 .view input { width: 100%; margin: 8px 0 0; accent-color: var(--accent); }
 details { margin: 10px 0; padding: 0 16px; }
 summary { cursor: pointer; padding: 11px 0; font-weight: 550; overflow-wrap: anywhere; }
 details .scroll { box-shadow: none; margin-bottom: 14px; }
-pre { overflow: auto; max-height: 420px; margin: 0 0 14px; padding: 12px; border-radius: 8px; background: var(--ground); }
+pre {
+  overflow: auto; max-height: 420px; margin: 0 0 14px; padding: 12px; border-radius: 8px;
+  background: var(--ground);
+}
 footer { margin-top: 48px; color: var(--muted); font-size: 13px; }
 @media (max-width: 560px) {
   main { padding: 18px 12px 48px; }
   header.page h1 { font-size: 23px; }
   th, td { padding: 7px 10px; }
-  tbody th { max-width: 42vw; overflow-wrap: anywhere; }
+  tbody th { max-width: 44vw; overflow-wrap: break-word; }
+  tbody th small { display: block; margin: 0; }
 }
-@media print { .bar, .view input { display: none; } .card, .scroll, details { box-shadow: none; break-inside: avoid; } }
+@media print {
+  .bar, .view input { display: none; }
+  .card, .scroll, details { box-shadow: none; break-inside: avoid; }
+}
 """
 
 SCRIPT = """

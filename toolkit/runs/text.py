@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
-from toolkit.recipes.base import StageTime
-from toolkit.runs.compare import Comparison, TextRow
+from toolkit.recipes.base import Recipe, StageTime
+from toolkit.runs.compare import ComparedRun, Comparison, TextRow, flatten
 from toolkit.runs.index import RunSummary
 from toolkit.runs.measures import better, format_number, format_seconds
 
@@ -77,7 +79,11 @@ def comparison_text(comparison: Comparison) -> str:
     """Return measures, times and settings as tables; the best value of a measure has a star."""
     several = len(comparison.runs) > 1
     labels = [item.label for item in comparison.runs]
-    parts = [_text_table("run", labels, comparison.facts)]
+    same = [(row.name, str(row.values[0])) for row in comparison.facts if len(set(row.values)) == 1]
+    other = [row for row in comparison.facts if len(set(row.values)) > 1]
+    parts = [_text_table("run", labels, other)] if other else []
+    if same:
+        parts.append(("The same in all\n" if several else "") + table(same))
     if comparison.measures:
         rows = [["measure", *labels]]
         for row in comparison.measures:
@@ -112,3 +118,50 @@ def _time(time: StageTime | None) -> str:
     if time is None:
         return "–  "
     return format_seconds(time.seconds) + (" r" if time.reused else "  ")
+
+
+def recipes_text(recipes: Iterable[Recipe]) -> str:
+    """Return a list of recipes."""
+    rows = [("recipe", "paper", "title")]
+    return table([*rows, *((recipe.name, recipe.paper or "–", recipe.title) for recipe in recipes)])
+
+
+def recipe_text(recipe: Recipe) -> str:
+    """Return what a recipe does and the table of its settings."""
+    rows = [("setting", "default", "allowed", "unit", "")]
+    rows += [(row.name, str(row.default), row.allowed, row.unit, row.doc) for row in recipe.settings_type.table()]
+    described = textwrap.fill(recipe.description, 100)
+    return f"{recipe.name}: {recipe.title}\n\n{described}\n\n{table(rows)}"
+
+
+def result_text(comparison: Comparison) -> str:
+    """Return the measures and times of one run, and where its files are."""
+    item = comparison.runs[0]
+    return f"{comparison_text(replace(comparison, facts=()))}\n\n{_files(item)}"
+
+
+def run_text(comparison: Comparison) -> str:
+    """Return all about one run: facts, measures, times, settings, files, and the end of the log."""
+    item = comparison.runs[0]
+    settings = [
+        ("setting", "value"),
+        *((name, str(value)) for name, value in flatten(item.record.settings).items()),
+    ]
+    parts = [comparison_text(comparison), table(settings), _files(item)]
+    if item.run.log_file.is_file():
+        lines = item.run.log_file.read_text(encoding="utf-8", errors="replace").splitlines()[-10:]
+        parts.append("\n".join(["End of the log", *map(printable, lines)]))
+    return "\n\n".join(parts)
+
+
+def _files(item: ComparedRun) -> str:
+    """Say where what the run made lies, as far as it is there."""
+    run = item.run
+    places = {
+        "run": run.path,
+        "log": run.log_file,
+        "measures": run.result_file,
+        "splat": run.splat_file,
+        "scene": run.scene_folder,
+    }
+    return table([(name, str(path)) for name, path in places.items() if path.exists()])

@@ -19,6 +19,8 @@ _CLEARANCE = 0.6
 """Metres that a camera keeps from every surface."""
 _CLIMB = 2.0
 """Metres above an obstacle that a flight climbs to."""
+_ABOVE_ALL = 500.0
+"""A height in metres that nothing reaches."""
 _SPIRAL_START = 0.25
 """Radius at which a spiral starts, as a share of the one at which it ends."""
 
@@ -43,13 +45,15 @@ class FlightSettings(Settings):
     aim = Choice(
         "auto",
         choices=("auto", "point", "pitch"),
-        doc="point: look at the middle of the town; pitch: look ahead (lawn-mower) or inwards, tilted by the pitch; "
-        "auto: pitch for the lawn-mower, point otherwise.",
+        doc="point: look at the middle of the town; pitch: look ahead (lawn-mower) or inwards, tilted by "
+        "the pitch; auto: pitch for the lawn-mower, point otherwise.",
     )
     look_at_height = Number(4.0, bounds=(0.0, 120.0), unit="m", doc="Height of the point that the camera looks at.")
     pitch = Number(90.0, bounds=(-30.0, 90.0), unit="deg", doc="Angle of the view below the horizon; 90 is nadir.")
     position_jitter = Number(0.3, bounds=(0.0, 10.0), unit="m", doc="Standard deviation of the path on each axis.")
-    angle_jitter = Number(1.0, bounds=(0.0, 15.0), unit="deg", doc="Standard deviation of the view about each axis.")
+    angle_jitter = Number(
+        1.0, bounds=(0.0, 15.0), unit="deg", doc="Standard deviation of the view about each axis."
+    )
     climb = Boolean(False, doc="Fly over what stands in the way; otherwise a blocked flight is an error.")
     frame_interval = Number(0.5, bounds=(0.01, 60.0), unit="s", doc="Time from picture to picture.")
     image_width = Integer(480, bounds=(16, 4096), unit="px", doc="Width of the pictures.")
@@ -102,9 +106,10 @@ def flight_poses(settings: FlightSettings, town: Town, rng: np.random.Generator)
 
 
 def heading_pose(centre: ArrayLike, heading: ArrayLike, pitch: float) -> RigidTransform:
-    """Return ``cam_from_world`` of a camera at ``centre`` (3,) that looks along the level unit vector ``heading`` (2,).
+    """Return ``cam_from_world`` of a camera at ``centre`` (3,) that looks along ``heading``, tilted by ``pitch``.
 
-    ``pitch`` is the angle below the horizon in radians. At nadir the heading is up in the picture.
+    ``heading`` (2,) is a level unit vector, ``pitch`` the angle below the horizon in radians. At nadir the
+    heading is up in the picture.
     """
     ahead = np.array([*np.asarray(heading, float), 0.0])
     forward = np.cos(pitch) * ahead - np.array([0.0, 0.0, np.sin(pitch)])
@@ -193,6 +198,19 @@ def _obstacle(town: Town, centres: Array) -> list[str]:
     return found
 
 
+def _tops(town: Town, centres: Array) -> Array:
+    """Return the heights (F,) in metres of the highest thing below or beside each camera centre (F, 3)."""
+    angle = np.arange(8) * np.pi / 4
+    ring = 1.5 * np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=1)
+    around = centres[:, None] * [1.0, 1.0, 0.0] + np.concatenate([np.zeros((1, 3)), ring])
+    building = town.building_at(around)
+    roofs = np.array([plan.top for plan in town.plan.buildings])
+    inside = np.where(building >= 0, roofs[building], -np.inf)
+    start = around.reshape(-1, 3) + np.array([0.0, 0.0, _ABOVE_ALL])
+    surface = _ABOVE_ALL - town.cast(start, np.broadcast_to([0.0, 0.0, -1.0], start.shape)).distance
+    return np.asarray(np.maximum(inside, surface).reshape(len(centres), -1).max(axis=1))
+
+
 def _clear(settings: FlightSettings, town: Town, centres: Array) -> Array:
     """Return camera centres (F, 3) that touch nothing: the given ones, or raised where ``climb`` allows it."""
     reasons = _obstacle(town, centres)
@@ -200,15 +218,12 @@ def _clear(settings: FlightSettings, town: Town, centres: Array) -> Array:
     if not len(blocked):
         return centres
     if settings.climb:
-        from_above = centres[blocked] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1000.0]
-        drop = town.cast(from_above, np.broadcast_to([0.0, 0.0, -1.0], from_above.shape)).distance
-        raised = centres.copy()
-        raised[blocked, 2] = 1000.0 - drop + _CLIMB
-        reasons = _obstacle(town, raised)
+        centres = centres.copy()
+        centres[blocked, 2] = _tops(town, centres[blocked]) + _CLIMB
+        reasons = _obstacle(town, centres)
         blocked = np.flatnonzero([bool(reason) for reason in reasons])
         if not len(blocked):
-            return raised
-        centres = raised
+            return centres
     first = blocked[0]
     x, y, z = centres[first]
     raise StageError(
@@ -216,6 +231,6 @@ def _clear(settings: FlightSettings, town: Town, centres: Array) -> Array:
         f"at ({x:.1f}, {y:.1f}, {z:.1f}) m",
         expected=f"{_CLEARANCE} m to every surface",
         found=reasons[first],
-        todo="Change height or radius or the seed, or set climb to fly over what stands in the way. The square in the "
-        f"middle is clear to a radius of {town.plan.square_half_width - 4.0:.1f} m",
+        todo="Change height or radius or the seed, or set climb to fly over what stands in the way. The square in "
+        f"the middle is clear to a radius of {town.plan.square_half_width - 4.0:.1f} m",
     )

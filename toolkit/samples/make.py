@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import uuid
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -99,8 +101,10 @@ def read_depth(folder: Path, frame: Frame) -> NDArray[np.float32]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             depth: NDArray[np.float32] = stored["depth"]
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise DataError(f"Cannot read the depth map {path}", expected="an array 'depth'", found=str(error)) from error
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise DataError(
+            f"Cannot read the depth map {path}", expected="an array 'depth'", found=str(error)
+        ) from error
     return depth
 
 

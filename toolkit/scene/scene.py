@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError
@@ -252,6 +253,12 @@ class Scene:
         chosen = self.registered if frames is None else frames
         poses = [frame.cam_from_world for frame in chosen]
         return np.array([pose.centre for pose in poses if pose is not None]).reshape(-1, 3)
+
+    def to_pycolmap(self) -> pycolmap.Reconstruction:
+        """Return what is registered as COLMAP's reconstruction: :func:`toolkit.scene.colmap.scene_to_pycolmap`."""
+        from toolkit.scene.colmap import scene_to_pycolmap
+
+        return scene_to_pycolmap(self)
 
     def replace(self, **changes: object) -> Scene:
         """Return a copy with some fields changed."""

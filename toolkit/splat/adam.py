@@ -15,14 +15,14 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolkit.splat.cpu.threads import FAST, launching
+
 BETA1: Final = 0.9
 BETA2: Final = 0.999
 EPSILON: Final = 1e-15  # gradients of a mean over pixels are tiny; the value is that of Kerbl et al.'s code
 
 _BLOCK: Final = 4096
 Floats = NDArray[np.float32]
-# Reordering is allowed, assumptions about NaN and infinity are not.
-_FAST: Final = {"contract", "reassoc", "nsz", "arcp"}
 
 
 def adam_update(
@@ -42,16 +42,27 @@ def adam_update(
     if parameter.device.type != "cpu" or parameter.dtype != torch.float32:
         return adam_update_reference(parameter, gradient, first, second, rates, step)
     pattern = rates.reshape(-1).repeat(max(1, _BLOCK // max(1, rates.numel())))
-    flat = [tensor.detach().contiguous().view(-1).numpy() for tensor in (gradient, pattern)]
-    state = [tensor.detach().view(-1).numpy() for tensor in (parameter, first, second)]
-    blocks = -(-len(state[0]) // len(flat[1]))
-    sums = np.zeros(blocks, np.float32)
-    scale = 1 / (1 - BETA1**step), 1 / math.sqrt(1 - BETA2**step)
-    _update_blocks(*state, *flat, *scale, sums)
+    sums = np.zeros(-(-parameter.numel() // len(pattern)), np.float32)
+    with launching():
+        _update_blocks(
+            _flat(parameter),
+            _flat(first),
+            _flat(second),
+            _flat(gradient.contiguous()),
+            _flat(pattern),
+            1 / (1 - BETA1**step),
+            1 / math.sqrt(1 - BETA2**step),
+            sums,
+        )
     return bool(np.isfinite(sums).all())
 
 
-@njit(parallel=True, fastmath=_FAST, error_model="numpy", cache=True)
+def _flat(tensor: Tensor) -> Floats:
+    """Return the memory of a contiguous tensor as a flat array: what is written there is in the tensor."""
+    return tensor.detach().view(-1).numpy()
+
+
+@njit(parallel=True, fastmath=FAST, error_model="numpy", cache=True)
 def _update_blocks(
     parameter: Floats,
     first: Floats,
@@ -62,7 +73,10 @@ def _update_blocks(
     scale_second: float,
     sums: Floats,
 ) -> None:
-    """Update flat arrays (n,) in blocks of ``len(pattern)``; ``sums`` (blocks,) is not finite where a block is not."""
+    """Update flat arrays (n,) in blocks of ``len(pattern)``.
+
+    ``sums`` (blocks,) become finite where everything in a block is.
+    """
     beta1, beta2, epsilon = np.float32(BETA1), np.float32(BETA2), np.float32(EPSILON)
     rest1, rest2 = np.float32(1 - BETA1), np.float32(1 - BETA2)
     correct1, correct2 = np.float32(scale_first), np.float32(scale_second)

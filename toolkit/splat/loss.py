@@ -72,11 +72,14 @@ def _window_mean(image: Tensor) -> Tensor:
     return torch.nn.functional.conv2d(channels, window, padding=WINDOW_RADIUS)[:, 0].permute(1, 2, 0)
 
 
+def _pixels(image: Tensor) -> ssim_kernel.Image:
+    return np.ascontiguousarray(image.detach().numpy(), np.float32)
+
+
 class _L1Dssim(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, render: Tensor, photo: Tensor, weights: Tensor, lambda_dssim: float) -> Tensor:
-        images = (np.ascontiguousarray(image.detach().numpy(), np.float32) for image in (render, photo, weights))
-        value, gradient = ssim_kernel.l1_dssim(*images, lambda_dssim)
+        value, gradient = ssim_kernel.l1_dssim(_pixels(render), _pixels(photo), _pixels(weights), lambda_dssim)
         ctx.save_for_backward(torch.from_numpy(gradient))
         return render.new_tensor(value)
 

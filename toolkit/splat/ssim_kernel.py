@@ -19,6 +19,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from toolkit.splat.cpu.threads import FAST, launching
+
 Image = NDArray[np.float32]
 
 WINDOW_RADIUS: Final = 5
@@ -38,11 +40,8 @@ _W0, _W1, _W2, _W3, _W4, _W5 = (np.float32(value) for value in window_taps()[:6]
 _C1, _C2 = np.float32(C1), np.float32(C2)
 _ONE, _TWO = np.float32(1), np.float32(2)
 
-# Reordering is allowed, assumptions about NaN and infinity are not: a NaN must reach the loss.
-_FAST: Final = {"contract", "reassoc", "nsz", "arcp"}
 
-
-@njit(fastmath=_FAST, error_model="numpy", cache=True)
+@njit(fastmath=FAST, error_model="numpy", cache=True)
 def _blur_row(padded: Image, out: Image) -> None:
     """Blur a row (n + 30,) that has 15 zeros (5 pixels) at either end along itself into ``out`` (n,)."""
     n = len(out)
@@ -54,7 +53,7 @@ def _blur_row(padded: Image, out: Image) -> None:
         out[i] = outer + _W3 * (p3[i] + p7[i]) + _W4 * (p4[i] + p6[i]) + _W5 * p5[i]
 
 
-@njit(fastmath=_FAST, error_model="numpy", cache=True)
+@njit(fastmath=FAST, error_model="numpy", cache=True)
 def _blur_column(rows: Image, out: Image) -> None:
     """Blur eleven rows (11, n) across into ``out`` (n,)."""
     r0, r1, r2, r3, r4, r5 = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
@@ -64,7 +63,7 @@ def _blur_column(rows: Image, out: Image) -> None:
         out[i] = outer + _W3 * (r3[i] + r7[i]) + _W4 * (r4[i] + r6[i]) + _W5 * r5[i]
 
 
-@njit(parallel=True, fastmath=_FAST, error_model="numpy", cache=True)
+@njit(parallel=True, fastmath=FAST, error_model="numpy", cache=True)
 def _horizontal_moments(x: Image, y: Image, planes: Image) -> None:
     """Blur x, y, x², y², xy (H, n) along rows into ``planes`` (5, H + 10, n), whose outer rows stay zero."""
     height, n = x.shape
@@ -85,7 +84,7 @@ def _horizontal_moments(x: Image, y: Image, planes: Image) -> None:
             _blur_row(padded[k], planes[k, row + 5])
 
 
-@njit(fastmath=_FAST, error_model="numpy", cache=True)
+@njit(fastmath=FAST, error_model="numpy", cache=True)
 def _ssim_row(moments: Image, scale: Image, by_mu: Image, by_xx: Image, by_xy: Image) -> float:
     """Return the sum of ``scale`` times SSIM over a row, and write ``scale`` times its derivatives.
 
@@ -113,7 +112,7 @@ def _ssim_row(moments: Image, scale: Image, by_mu: Image, by_xx: Image, by_xy: I
     return total
 
 
-@njit(parallel=True, fastmath=_FAST, error_model="numpy", cache=True)
+@njit(parallel=True, fastmath=FAST, error_model="numpy", cache=True)
 def _ssim_and_slopes(planes: Image, weights: Image, slopes: Image, sums: NDArray[np.float64]) -> None:
     """Turn horizontal moments (5, H + 10, n) into row sums (H,) of weighted SSIM and slopes (3, H + 10, n)."""
     height, n = weights.shape
@@ -124,7 +123,7 @@ def _ssim_and_slopes(planes: Image, weights: Image, slopes: Image, sums: NDArray
         sums[row] = _ssim_row(moments, weights[row], slopes[0, row + 5], slopes[1, row + 5], slopes[2, row + 5])
 
 
-@njit(parallel=True, fastmath=_FAST, error_model="numpy", cache=True)
+@njit(parallel=True, fastmath=FAST, error_model="numpy", cache=True)
 def _gradient(
     x: Image, y: Image, weights: Image, slopes: Image, l1: float, ssim: float, out: Image, sums: NDArray[np.float64]
 ) -> None:
@@ -176,8 +175,9 @@ def l1_dssim(render: Image, photo: Image, weights: Image, lambda_dssim: float) -
     slopes = np.zeros((3, height + 10, n), np.float32)
     gradient = np.empty((height, n), np.float32)
     ssim_sums, l1_sums = np.empty(height), np.empty(height)
-    _horizontal_moments(x, y, planes)
-    _ssim_and_slopes(planes, spread, slopes, ssim_sums)
-    _gradient(x, y, spread, slopes, (1 - lambda_dssim) / norm, -lambda_dssim / norm, gradient, l1_sums)
+    with launching():
+        _horizontal_moments(x, y, planes)
+        _ssim_and_slopes(planes, spread, slopes, ssim_sums)
+        _gradient(x, y, spread, slopes, (1 - lambda_dssim) / norm, -lambda_dssim / norm, gradient, l1_sums)
     l1, ssim = math.fsum(l1_sums) / norm, math.fsum(ssim_sums) / norm
     return (1 - lambda_dssim) * l1 + lambda_dssim * (1 - ssim), gradient.reshape(height, width, 3)

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from toolkit.errors import CapabilityError, Cancelled, NumericalError
+from toolkit.errors import Cancelled, CapabilityError, NumericalError
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
 from toolkit.splat.checkpoint import load_newest, require_same, save_checkpoint

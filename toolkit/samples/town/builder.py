@@ -47,7 +47,7 @@ class Mesh:
     material:
         (F,) uint8.
     origin, u_axis, v_axis:
-        (F, 3) float64: surface coordinates of a point are ``((p - origin) . u_axis, (p - origin) . v_axis)`` metres.
+        (F, 3) float64: surface coordinates of a point p are ``(p - origin) . u_axis`` and the same with v.
     colour:
         (F, 3) float32 albedo in linear light.
     style:
@@ -101,7 +101,14 @@ class MeshBuilder:
         self._triangles.append(indices + self._count)
         self._triangle_face.append(np.full(len(indices), len(self._faces)))
         self._faces.append(
-            (int(material), np.asarray(origin, float), np.asarray(u_axis, float), np.asarray(v_axis, float), colour, row)
+            (
+                int(material),
+                np.asarray(origin, float),
+                np.asarray(u_axis, float),
+                np.asarray(v_axis, float),
+                colour,
+                row,
+            )
         )
         self._count += len(corners)
 
@@ -151,9 +158,7 @@ class MeshBuilder:
         side = np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0])
         side /= np.linalg.norm(side)
         half = np.array([thickness / 2, thickness / 2, length / 2])
-        self.box(
-            Material.PAINT, (a + b) / 2, half, colour, axes=(side, np.cross(along, side), along), bottom=True
-        )
+        self.box(Material.PAINT, (a + b) / 2, half, colour, axes=(side, np.cross(along, side), along), bottom=True)
         self._struts.append(np.stack([a, b]))
 
     def finish(self, yaw: float) -> Mesh:

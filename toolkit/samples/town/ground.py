@@ -99,7 +99,7 @@ def _streets(town: Town, u: F32, v: F32, size: F32, detail: F32) -> tuple[F32, F
 
 
 def _markings(across: F32, along: F32, position: F32, size: F32) -> F32:
-    """Return the cover (N,) of paint on a street: ``across`` it, ``along`` it from the nearest crossing, in metres."""
+    """Return the cover (N,) of paint on a street: metres ``across`` it, and ``along`` it from the next crossing."""
     reach = np.abs(along)
     open_road = inside(reach - 8.0, size)
     dashes = inside(0.09 - np.abs(across), size) * pulse(position, 3.0, 1.6, size)

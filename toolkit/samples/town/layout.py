@@ -76,6 +76,11 @@ class Building:
             return self.eave + 0.5
         return self.eave + 0.5 * float(self.size.min()) * float(np.tan(self.roof_pitch))
 
+    def to_plan(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return plan coordinates (2,) of a point (2,) in the house's own axes, from its middle."""
+        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
+        return self.centre + np.array([cos * local[0] - sin * local[1], sin * local[0] + cos * local[1]])
+
 
 @dataclass(frozen=True, slots=True)
 class Tree:
@@ -90,7 +95,7 @@ class Tree:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A small thing: a car, hedge, lamp or bench by ``kind``; middle (2,), length and width (2,), height, angle."""
+    """A ``"car"``, ``"hedge"`` or ``"lamp"``: middle (2,), length and width (2,), height, and angle in radians."""
 
     kind: str
     centre: NDArray[np.float64]
@@ -225,7 +230,7 @@ class _Draft:
         house = Building(
             centre=centre,
             size=size,
-            yaw=0.0,
+            yaw=float(np.radians(1.5) * rng.normal()),
             storeys=storeys,
             storey_height=float(rng.uniform(2.8, 3.3)),
             roof=roof,
@@ -250,8 +255,8 @@ class _Draft:
         back = np.array([0.0, -0.5 * side * (house.size[1] - main[1])])
         storeys = max(1, house.storeys - 1)
         return [
-            dataclasses.replace(house, centre=house.centre + back, size=main),
-            dataclasses.replace(house, centre=house.centre + shift, size=wing, storeys=storeys, roof="gable"),
+            dataclasses.replace(house, centre=house.to_plan(back), size=main),
+            dataclasses.replace(house, centre=house.to_plan(shift), size=wing, storeys=storeys, roof="gable"),
         ]
 
     def mast(self) -> tuple[NDArray[np.float64], float]:
@@ -322,13 +327,13 @@ class _Draft:
         count = self.blocks * self.plots
         for i in range(count - 1):
             for j in range(count):
+                middle = (self.plot_centre(i, j) + self.plot_centre(i + 1, j)) / 2
                 within = i % self.plots != self.plots - 1
-                blocked = not (self.free[i, j] and self.free[i + 1, j])
-                if within and blocked and rng.random() < 0.35:
-                    middle = (self.plot_centre(i, j) + self.plot_centre(i + 1, j)) / 2
-                if np.abs(middle).max() < self.pitch / 2:
+                lived_in = not (self.free[i, j] and self.free[i + 1, j])
+                on_square = np.abs(middle).max() < self.pitch / 2
+                if not within or not lived_in or on_square or rng.random() > 0.35:
                     continue
-                    if all(np.abs(middle - c).max() > r for c, r in self.footprints):
-                        size = np.array([0.7, 0.9 * self.size])
-                        made.append(Box("hedge", middle, size, float(rng.uniform(0.9, 1.7)), 0.0, 0))
+                if all(np.abs(middle - c).max() > radius for c, radius in self.footprints):
+                    size = np.array([0.7, 0.9 * self.size])
+                    made.append(Box("hedge", middle, size, float(rng.uniform(0.9, 1.7)), 0.0, 0))
         return made

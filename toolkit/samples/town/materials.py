@@ -59,7 +59,9 @@ def _wall(noise: Noise, patch: Patch) -> F32:
     fade = np.clip(0.16 / size - 0.4, 0.0, 1.0)
     each = 1 + fade * 0.75 * (noise.cell(np.floor(shifted / 0.28), course, patch.face) - 0.5)
     mortar = 1 - (1 - pulse(shifted, 0.28, 0.02, size)) * (1 - pulse(v, 0.11, 0.02, size))
-    tone = np.clip(1 + np.where(bricks, 0.13, 0.11) * detail + 0.07 * streaks, 0.3, 1.8) * np.where(bricks, each, 1.0)
+    tone = np.clip(1 + np.where(bricks, 0.13, 0.11) * detail + 0.07 * streaks, 0.3, 1.8) * np.where(
+        bricks, each, 1.0
+    )
     albedo = patch.colour * tone[:, None].astype(np.float32)
     albedo = mix(albedo, _MORTAR, (mortar * 0.8 * bricks).astype(np.float32))
     foot = inside(0.45 + 0.08 * detail - v, size)
@@ -97,7 +99,9 @@ def glass(noise: Noise, patch: Patch) -> Look:
     pane = np.where(plain, 0.35, pane)
     # Panes are never mounted quite alike: each reflects a slightly different part of the sky.
     tilt = np.stack([noise.cell(column, floor, patch.face + salt) - 0.5 for salt in (1, 2, 3)], axis=1)
-    return Look(albedo.astype(np.float32), mirror=(0.55 * pane).astype(np.float32), roughness=0.02 * tilt)
+    return Look(
+        albedo.astype(np.float32), mirror=(0.55 * pane).astype(np.float32), roughness=np.float32(0.02) * tilt
+    )
 
 
 def tiles(noise: Noise, patch: Patch) -> Look:
@@ -120,7 +124,12 @@ def tiles(noise: Noise, patch: Patch) -> Look:
     albedo = mix(albedo, patch.colour * (0.7 + 0.3 * pulse(u, 0.4, 0.36, size))[:, None], ridge)
     column, row = np.floor(u / 3.0), np.floor(v / 2.6)
     du, dv = u - (column + 0.5) * 3.0, v - (row + 0.5) * 2.6
-    room = (u > 0.8) & (u < style[:, 0] - 0.8) & ((row + 1) * 2.6 < style[:, 1] - 0.4) & ((column + 1) * 3 < style[:, 0])
+    room = (
+        (u > 0.8)
+        & (u < style[:, 0] - 0.8)
+        & ((row + 1) * 2.6 < style[:, 1] - 0.4)
+        & ((column + 1) * 3 < style[:, 0])
+    )
     window = ((noise.cell(column, row, patch.face) < 0.2) & room & (style[:, 2] == 0)).astype(np.float32)
     frame = inside(0.48 - np.abs(du), size) * inside(0.68 - np.abs(dv), size) * window
     pane = inside(0.38 - np.abs(du), size) * inside(0.56 - np.abs(dv), size) * window

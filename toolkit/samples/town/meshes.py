@@ -26,7 +26,7 @@ def add_building(builder: MeshBuilder, building: Building, rng: np.random.Genera
     """Add walls and roof of ``building``; ``rng`` chooses bays, doors and what stands on the roof."""
     half = building.size / 2
     corners = [
-        _to_plan(building, np.array([sx * half[0], sy * half[1]])) for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        building.to_plan(np.array([sx * half[0], sy * half[1]])) for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
     long_x = bool(building.size[0] >= building.size[1])
     door_side = int(rng.integers(4))
@@ -59,17 +59,19 @@ def facade_style(building: Building, width: float, *, door: bool, rng: np.random
     return [bay, building.storey_height, window, height, finish, entrance, building.eave, accent]
 
 
-def _to_plan(building: Building, local: Array) -> Array:
-    cos, sin = np.cos(building.yaw), np.sin(building.yaw)
-    return building.centre + np.array([cos * local[0] - sin * local[1], sin * local[0] + cos * local[1]])
-
-
 def _lift(point: Array, height: float) -> Array:
     return np.array([point[0], point[1], height])
 
 
 def _add_wall(
-    builder: MeshBuilder, building: Building, a: Array, b: Array, *, gabled: bool, door: bool, rng: np.random.Generator
+    builder: MeshBuilder,
+    building: Building,
+    a: Array,
+    b: Array,
+    *,
+    gabled: bool,
+    door: bool,
+    rng: np.random.Generator,
 ) -> None:
     height = building.eave + (_PARAPET if building.roof == "flat" else 0.0)
     outline = [_lift(a, 0.0), _lift(b, 0.0), _lift(b, height), _lift(a, height)]
@@ -86,8 +88,8 @@ def _add_flat_roof(builder: MeshBuilder, building: Building, rng: np.random.Gene
     outer = building.size / 2
     inner = outer - 0.25
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    edge = [_to_plan(building, outer * s) for s in signs]
-    ledge = [_to_plan(building, inner * s) for s in signs]
+    edge = [building.to_plan(outer * s) for s in signs]
+    ledge = [building.to_plan(inner * s) for s in signs]
     low, high = building.eave, building.eave + _PARAPET
     builder.polygon(Material.FLAT_ROOF, [_lift(p, low) for p in ledge], _GRAVEL * float(rng.uniform(0.6, 1.3)))
     for k in range(4):
@@ -98,7 +100,7 @@ def _add_flat_roof(builder: MeshBuilder, building: Building, rng: np.random.Gene
         builder.polygon(Material.STONE, inside, _STONE)
     for _ in range(int(rng.integers(2, 5))):
         size = rng.uniform([0.5, 0.4, 0.3], [1.3, 1.0, 0.7])
-        spot = _to_plan(building, rng.uniform(-1, 1, 2) * (inner - size[:2] - 0.3).clip(0))
+        spot = building.to_plan(rng.uniform(-1, 1, 2) * (inner - size[:2] - 0.3).clip(0))
         colour = _GREY * float(rng.uniform(0.6, 1.4))
         builder.box(Material.PAINT, _lift(spot, low + size[2]), size, colour, axes=_axes(building), style=[1.0])
 
@@ -120,7 +122,7 @@ def _add_pitched_roof(builder: MeshBuilder, building: Building, rng: np.random.G
 
     def place(along: float, across: float, height: float) -> Array:
         local = np.array([along, across]) if long_x else np.array([across, along])
-        return _lift(_to_plan(building, local), height)
+        return _lift(building.to_plan(local), height)
 
     colour = ROOFS[building.roof_colour % len(ROOFS)]
     solar = float(rng.random() < 0.3)
@@ -142,11 +144,16 @@ def _add_pitched_roof(builder: MeshBuilder, building: Building, rng: np.random.G
     top = ridge + 0.6
     brick = BRICKS[building.wall % len(BRICKS)]
     builder.box(
-        Material.STONE, [spot[0], spot[1], (building.eave + top) / 2], [0.35, 0.35, (top - building.eave) / 2], brick
+        Material.STONE,
+        [spot[0], spot[1], (building.eave + top) / 2],
+        [0.35, 0.35, (top - building.eave) / 2],
+        brick,
     )
 
 
-def _add_slope(builder: MeshBuilder, corners: Sequence[Array], colour: NDArray[np.float32], style: list[float]) -> None:
+def _add_slope(
+    builder: MeshBuilder, corners: Sequence[Array], colour: NDArray[np.float32], style: list[float]
+) -> None:
     """Add a roof slope, and its underside and edges a hand's breadth below."""
     builder.polygon(Material.TILES, corners, colour, style)
     drop = np.array([0.0, 0.0, 0.14])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.optional import require
 from toolkit.samples.town.builder import Mesh, MeshBuilder
 from toolkit.samples.town.layout import TownPlan, TownSettings, plan_town
 from toolkit.samples.town.meshes import add_building
@@ -66,8 +67,7 @@ class Town:
 
     @cached_property
     def _scene(self) -> Any:
-        import open3d as o3d
-
+        o3d = require("open3d")
         scene = o3d.t.geometry.RaycastingScene()
         scene.add_triangles(o3d.core.Tensor(self.mesh.vertices), o3d.core.Tensor(self.mesh.triangles))
         return scene
@@ -77,8 +77,7 @@ class Town:
 
         The triangle is found in single precision, the distance then computed to its plane in double precision.
         """
-        import open3d as o3d
-
+        o3d = require("open3d")
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
         answer = self._scene.cast_rays(o3d.core.Tensor(rays))
         distance = answer["t_hit"].numpy().astype(np.float64)
@@ -96,16 +95,14 @@ class Town:
 
     def blocked(self, origins: Array, directions: Array, far: float = np.inf) -> NDArray[np.bool_]:
         """Return (N,) whether anything stands within ``far`` metres along unit ``directions`` from ``origins``."""
-        import open3d as o3d
-
+        o3d = require("open3d")
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
         found: NDArray[np.bool_] = self._scene.test_occlusions(o3d.core.Tensor(rays), 0.0, float(far)).numpy()
         return found
 
     def clearance(self, points: Array) -> Array:
         """Return the distances (N,) in metres from ``points`` (N, 3) to the nearest surface."""
-        import open3d as o3d
-
+        o3d = require("open3d")
         query = o3d.core.Tensor(np.asarray(points, np.float32).reshape(-1, 3))
         return np.asarray(self._scene.compute_distance(query).numpy(), dtype=np.float64)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
+Real = NDArray[np.floating]
 
 _SIZE = 256
 _TURN = 0.65  # radians between one octave's lattice and the next, so that the lattices do not line up
@@ -39,7 +40,7 @@ class Noise:
         lattice = rng.uniform(-1.0, 1.0, _SIZE * _SIZE).astype(np.float32)
         return cls(lattice, rng.random(1 << 16).astype(np.float32))
 
-    def value(self, u: F32, v: F32) -> F32:
+    def value(self, u: Real, v: Real) -> F32:
         """Return smooth noise (N,) in -1..1 with lattice spacing 1 at ``u``, ``v`` (N,)."""
         column, row = np.floor(u), np.floor(v)
         s, t = u - column, v - row
@@ -67,10 +68,8 @@ class Noise:
         mixed *= 0x2C1B3C6D
         return self.cells.take((mixed >> 13) & 0xFFFF)
 
-    def fbm(
-        self, u: F32, v: F32, footprint: F32, *, coarsest: float, finest: float, gain: float = 0.85
-    ) -> F32:
-        """Return fractal noise (N,): octaves of :meth:`value` with lattice spacings ``coarsest`` to ``finest`` metres.
+    def fbm(self, u: Real, v: Real, footprint: Real, *, coarsest: float, finest: float, gain: float = 0.85) -> F32:
+        """Return fractal noise (N,): octaves of :meth:`value`, each with half the lattice spacing of the last.
 
         Parameters
         ----------
@@ -108,29 +107,28 @@ class Noise:
         return total / np.float32(np.sqrt(0.18 * power))
 
 
-def pulse(x: F32, period: F32 | float, width: F32 | float, footprint: F32) -> F32:
-    """Return the share (N,) of the interval ``x +- footprint / 2`` that lies in bars ``[k period, k period + width]``."""
+def pulse(x: Real, period: Real | float, width: Real | float, footprint: Real) -> F32:
+    """Return the share (N,) of ``x +- footprint / 2`` that lies in bars ``[k period, k period + width]``."""
     half = 0.5 * footprint
 
-    def covered(at: F32) -> F32:
+    def covered(at: Real) -> Real:
         cycle = np.floor(at / period)
-        inside: F32 = cycle * width + np.minimum(at - cycle * period, width)
+        inside: Real = cycle * width + np.minimum(at - cycle * period, width)
         return inside
 
-    share: F32 = (covered(x + half) - covered(x - half)) / footprint
+    share: Real = (covered(x + half) - covered(x - half)) / footprint
     return np.clip(share, 0.0, 1.0).astype(np.float32)
 
 
-def inside(distance: F32, footprint: F32) -> F32:
+def inside(distance: Real, footprint: Real) -> F32:
     """Return how much (N,) of a pixel is inside an edge at signed ``distance`` (positive inside)."""
     covered: F32 = np.clip(distance / footprint + np.float32(0.5), 0.0, 1.0).astype(np.float32)
     return covered
 
 
-def mix(under: F32, over: F32, share: F32) -> F32:
+def mix(under: Real, over: Real, share: Real) -> F32:
     """Return colours (N, 3) ``over`` laid on ``under`` with coverage ``share`` (N,)."""
-    blended: F32 = under + share[:, None] * (over - under)
-    return blended
+    return np.asarray(under + share[:, None] * (over - under), np.float32)
 
 
 def linear(code: str) -> F32:

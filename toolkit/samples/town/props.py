@@ -56,7 +56,14 @@ def hill_height(plane: Array, flat_radius: float, noise: Noise) -> Array:
 def _icosphere(levels: int) -> tuple[Array, NDArray[np.int64]]:
     """Return vertices (V, 3) on the unit sphere and triangles (T, 3) of a subdivided icosahedron."""
     g = (1 + 5**0.5) / 2
-    points = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
+    points: list[tuple[float, float, float]] = [
+        (-1, g, 0),
+        (1, g, 0),
+        (-1, -g, 0),
+        (1, -g, 0),
+        (0, -1, g),
+        (0, 1, g),
+    ]
     points += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
     faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2)]
     faces += [(10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5)]
@@ -150,12 +157,14 @@ def add_mast(builder: MeshBuilder, position: Array, height: float) -> None:
             ends = (corner(level, k), corner(level + 1, m))
             builder.strut(*(ends if level % 2 == 0 else (corner(level, m), corner(level + 1, k))), 0.06, colour)
     tip = np.array([*position, height])
-    builder.strut(tip - [0, 0, 1.0], tip + [0, 0, 3.0], 0.07, _WHITE)
+    builder.strut(tip - np.array([0, 0, 1.0]), tip + np.array([0, 0, 3.0]), 0.07, _WHITE)
     for k in range(3):
         angle = 2 * np.pi * k / 3
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
         axes = (out, np.array([-out[1], out[0], 0.0]), np.array([0.0, 0.0, 1.0]))
-        builder.box(Material.PAINT, tip - [0, 0, 1.5] + 0.75 * out, [0.09, 0.16, 1.0], _WHITE, axes=axes, bottom=True)
+        builder.box(
+            Material.PAINT, tip - [0, 0, 1.5] + 0.75 * out, [0.09, 0.16, 1.0], _WHITE, axes=axes, bottom=True
+        )
     builder.box(Material.STONE, [*position, 0.2], [1.8, 1.8, 0.2], _STONE)
 
 
@@ -170,7 +179,9 @@ def add_box(builder: MeshBuilder, box: Box) -> None:
         for along in (-0.62, 0.62):
             wheel = box.centre + along * half_l * axes[0, :2]
             builder.box(Material.PAINT, [*wheel, 0.3], [0.3, half_w + 0.02, 0.3], _DARK, axes=axes)
-        builder.box(Material.PAINT, [x, y, 0.55], [half_l, half_w, 0.3], colour, axes=axes, style=[2.0], bottom=True)
+        builder.box(
+            Material.PAINT, [x, y, 0.55], [half_l, half_w, 0.3], colour, axes=axes, style=[2.0], bottom=True
+        )
         cabin = box.centre - 0.1 * half_l * axes[0, :2]
         low, high = 0.85, box.height
         foot, roof = np.array([0.62 * half_l, 0.95 * half_w]), np.array([0.42 * half_l, 0.8 * half_w])

@@ -113,7 +113,7 @@ class _Rays:
         self.camera = camera
         self.world_from_cam = cam_from_world.inverse()
         middle = np.array([camera.width / 2, camera.height / 2])
-        _, ends = camera.ray(np.stack([middle, middle + [1.0, 0.0]]))
+        _, ends = camera.ray(np.stack([middle, middle + np.array([1.0, 0.0])]))
         self.pixel_angle = float(np.linalg.norm(ends[1] - ends[0]))
 
     def __call__(self, pixels: Array) -> tuple[Array, Array, Array]:

@@ -53,7 +53,7 @@ def sky(town: Town, directions: Array) -> F32:
 
 
 def facing(town: Town, hits: Hits, directions: Array) -> Array:
-    """Return unit normals (N, 3) of what was met, on the side that is seen; ``hits`` must all have met something."""
+    """Return unit normals (N, 3), on the side that is seen, of ``hits`` that all met something."""
     normal = town.mesh.normal[hits.triangle]
     away = np.einsum("ij,ij->i", normal, directions) > 0
     return np.where(away[:, None], -normal, normal)

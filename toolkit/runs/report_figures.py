@@ -1,0 +1,129 @@
+"""The figures of the report page, as JSON that the page's script draws."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import plotly.graph_objects as go
+
+from toolkit.errors import DataError
+from toolkit.plots.curves import curve_figure
+from toolkit.plots.times import time_figure
+from toolkit.plots.trajectories import trajectory_figure
+from toolkit.plots.views import view_figure
+from toolkit.runs.compare import ComparedRun
+from toolkit.runs.curves import Curve, Curves
+from toolkit.runs.markup import Html, element
+from toolkit.runs.report_views import ViewsByName
+from toolkit.runs.trajectories import align_trajectories, read_trajectories
+
+#: Measurements that come first on the page.
+_FIRST = ("loss", "psnr", "ssim", "gaussians", "count")
+
+
+class FigureBook:
+    """Collects figures and gives the places where the page's script draws them."""
+
+    def __init__(self) -> None:
+        self._figures: dict[str, dict[str, Any]] = {}
+
+    def place(self, variants: dict[str, go.Figure]) -> Html:
+        """Return the place of a figure; of several variants the page shows the first until it is told otherwise."""
+        key = f"figure-{len(self._figures)}"
+        self._figures[key] = {name: json.loads(figure.to_json()) for name, figure in variants.items()}
+        first = next(iter(variants))
+        height = next(iter(variants.values())).layout.height
+        return element(
+            "div",
+            data_figure=key,
+            data_variant=first if len(variants) > 1 else None,
+            style=f"height:{height}px",
+        )
+
+    def script(self) -> Html:
+        """Return all figures as one element of data."""
+        # "<" would allow a name to end the element.
+        text = json.dumps(self._figures, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+        return element("script", Html(text), type="application/json", id="figures")
+
+
+def curve_places(runs: Sequence[ComparedRun], book: FigureBook) -> tuple[list[Html], list[str]]:
+    """Return the places of all curves that have at least two points, and remarks on damaged files."""
+    tables: list[Curves] = []
+    remarks = []
+    for item in runs:
+        try:
+            curves = item.run.curves()
+        except DataError as error:
+            curves = Curves((), 0)
+            remarks.append(f"{item.label}: {error}")
+        if curves.damaged_lines:
+            remarks.append(f"{item.label}: {curves.damaged_lines} damaged lines of metrics.csv were left out.")
+        tables.append(curves)
+    keys = dict.fromkeys((curve.stage, curve.name) for curves in tables for curve in curves.curves)
+    places = []
+    for stage, name in sorted(keys, key=lambda key: _rank(key[1])):
+        of_runs = [curves.find(stage, name) for curves in tables]
+        if any(curve is not None and len(curve.steps) > 1 for curve in of_runs):
+            figures = {axis: _curves(runs, of_runs, stage, name, axis) for axis in ("step", "time")}
+            places.append(element("div", book.place(figures), class_="card chart"))
+    return places, remarks
+
+
+def _rank(name: str) -> int:
+    return next((i for i, word in enumerate(_FIRST) if word in name.lower()), len(_FIRST))
+
+
+def _curves(
+    runs: Sequence[ComparedRun], of_runs: Sequence[Curve | None], stage: str, name: str, axis: str
+) -> go.Figure:
+    drawn = {
+        item.label: ((curve.steps if axis == "step" else curve.seconds, curve.values) if curve else ((), ()))
+        for item, curve in zip(runs, of_runs, strict=True)
+    }
+    positive = all((curve.values > 0).all() for curve in of_runs if curve is not None)
+    return curve_figure(
+        drawn,
+        title=f"{name} ({stage})",
+        x_title="step" if axis == "step" else "working time in seconds",
+        log="loss" in name.lower() and positive,
+    )
+
+
+def time_place(runs: Sequence[ComparedRun], book: FigureBook) -> Html | None:
+    """Return the place of the bars of times, None where no run has times."""
+    times = {item.label: item.result.times for item in runs if item.result and item.result.times}
+    return book.place({"only": time_figure(times)}) if times else None
+
+
+def view_place(runs: Sequence[ComparedRun], found: ViewsByName, book: FigureBook) -> Html | None:
+    """Return the place of PSNR by picture, None with fewer than two pictures."""
+    if len(found.names) < 2:
+        return None
+    psnr = {
+        item.label: {name: view.psnr for name, view in views.items()}
+        for item, views in zip(runs, found.views, strict=True)
+    }
+    return book.place({"only": view_figure(psnr, found.names, measure="PSNR in dB")})
+
+
+def trajectory_place(runs: Sequence[ComparedRun], book: FigureBook) -> tuple[Html | None, list[str]]:
+    """Return the place of the trajectories in one frame, None where no run has any, and remarks."""
+    read = {}
+    remarks = []
+    for item in runs:
+        if item.run.trajectory_file.is_file():
+            try:
+                read[item.label] = read_trajectories(item.run.trajectory_file)
+            except DataError as error:
+                remarks.append(f"{item.label}: {error}")
+    aligned = align_trajectories(read)
+    remarks = [*aligned.remarks, *remarks]
+    if not any(path.poses for path in aligned.paths.values()):
+        return None, remarks
+    # Runs without a trajectory keep their colours for the others to have the same everywhere.
+    paths = {item.label: aligned.paths[item.label].poses if item.label in aligned.paths else {} for item in runs}
+    reference = aligned.reference.poses if aligned.reference is not None else None
+    return book.place({"only": trajectory_figure(paths, reference)}), remarks

@@ -1,0 +1,189 @@
+"""A scene from a folder of photos: sizes, start focal lengths and GPS positions, no poses."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from toolkit.errors import DataError
+from toolkit.geometry.cameras import ColmapCamera
+from toolkit.progress import Progress, silent, track
+from toolkit.scene.colmap import check_name
+from toolkit.scene.exif import PhotoTags, read_tags
+from toolkit.scene.pictures import check_picture, open_picture
+from toolkit.scene.scene import Frame, Georeference, PosePrior, Scene
+
+ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+
+# COLMAP's guess where nothing is known of the lens: a horizontal field of view of 45 degrees.
+_FOCAL_FACTOR = 1.2
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoFolder:
+    """A scene read from photos, and what its user should know about them, a sentence each."""
+
+    scene: Scene
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Photo:
+    name: str
+    width: int
+    height: int
+    tags: PhotoTags
+
+
+def scene_from_photos(
+    folder: Path,
+    *,
+    camera_model: str = "SIMPLE_RADIAL",
+    share_camera: bool = True,
+    check: bool = True,
+    progress: Progress = silent,
+) -> PhotoFolder:
+    """Return the photos in a folder as a scene without poses.
+
+    Photos are looked for in ``folder/images`` where there is one, else in ``folder``, and in the folders below;
+    hidden files and a ``masks`` folder beside them are not photos. They come in natural order of their names
+    (``2.jpg`` before ``10.jpg``) and are used as stored: EXIF's orientation is not applied, as in COLMAP.
+
+    Parameters
+    ----------
+    folder:
+        Of the capture.
+    camera_model:
+        COLMAP's name of the model that cameras start with.
+    share_camera:
+        True: photos of one size, EXIF camera and focal length share a camera; False: each has its own.
+    check:
+        Decode every photo now, so that a damaged one is found before hours of work.
+    progress:
+        Told after each photo.
+
+    Returns
+    -------
+    The scene, with start focal lengths from EXIF or 1.2 times the longer side, and EXIF positions as priors in a
+    local east-north-up frame whose origin is the first position (altitudes are taken as they are written, most
+    often above sea level); and warnings about tags that were left out.
+
+    Raises
+    ------
+    DataError
+        Where the folder is missing or has no photos, or a photo is damaged; the message names it.
+    """
+    if camera_model not in pycolmap.CameraModelId.__members__ or camera_model == "INVALID":
+        raise DataError(
+            f"Unknown camera model '{camera_model}'",
+            expected=", ".join(name for name in pycolmap.CameraModelId.__members__ if name != "INVALID"),
+        )
+    image_dir = folder / "images" if (folder / "images").is_dir() else folder
+    names = photo_names(image_dir)
+    photos = [_read(image_dir, name, check) for name in track(names, "photos", progress)]
+    cameras, camera_ids = _cameras(photos, camera_model, share_camera)
+    georeference, priors = _priors(photos)
+    frames = tuple(Frame(photo.name, camera_ids[photo.name], prior=priors.get(photo.name)) for photo in photos)
+    mask_dir = folder / "masks" if (folder / "masks").is_dir() else None
+    scene = Scene(image_dir, cameras, frames, mask_dir=mask_dir, georeference=georeference)
+    return PhotoFolder(scene, _warnings(photos))
+
+
+def photo_names(image_dir: Path) -> list[str]:
+    """Return the names of the photos below a folder, with forward slashes, in natural order.
+
+    Raises
+    ------
+    DataError
+        Where there is no folder, no photo in it, or a photo's name cannot be stored.
+    """
+    if not image_dir.is_dir():
+        raise DataError(f"Folder {image_dir} is missing", expected="a folder with photos")
+    names = []
+    for place, folders, files in os.walk(image_dir):
+        inside = Path(place).relative_to(image_dir)
+        folders[:] = [
+            name for name in folders if not name.startswith(".") and (inside / name).as_posix() != "masks"
+        ]
+        names += [
+            (inside / name).as_posix()
+            for name in files
+            if not name.startswith(".") and Path(name).suffix.lower() in ENDINGS
+        ]
+    if not names:
+        raise DataError(
+            f"No photos in {image_dir}",
+            expected=f"files ending in {', '.join(ENDINGS)} (capitals too), in it or below",
+            found=", ".join(sorted(path.name for path in image_dir.iterdir())[:5]) or "an empty folder",
+        )
+    for name in names:
+        check_name(name)
+    return sorted(names, key=_natural)
+
+
+def _natural(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Sort key: runs of digits by their value, the rest as text; the name itself where these are equal."""
+    parts = re.split(r"([0-9]+)", name)
+    return [(int(part), "") if part[:1].isdigit() and part.isascii() else (-1, part) for part in parts], name
+
+
+def _read(image_dir: Path, name: str, check: bool) -> _Photo:
+    with open_picture(image_dir / name) as picture:
+        photo = _Photo(name, picture.width, picture.height, read_tags(picture))
+    if check:
+        check_picture(image_dir / name)
+    return photo
+
+
+def _cameras(photos: Sequence[_Photo], model: str, share: bool) -> tuple[dict[int, ColmapCamera], dict[str, int]]:
+    """Return cameras and, by name of the photo, which camera took it."""
+    cameras: dict[int, ColmapCamera] = {}
+    numbers: dict[object, int] = {}
+    camera_ids: dict[str, int] = {}
+    for photo in photos:
+        focal = photo.tags.focal or _FOCAL_FACTOR * max(photo.width, photo.height)
+        kind = (photo.width, photo.height, photo.tags.camera, round(focal)) if share else photo.name
+        if kind not in numbers:
+            numbers[kind] = len(numbers) + 1
+            camera = pycolmap.Camera.create_from_model_name(numbers[kind], model, focal, photo.width, photo.height)
+            cameras[numbers[kind]] = ColmapCamera.from_pycolmap(camera)
+        camera_ids[photo.name] = numbers[kind]
+    return cameras, camera_ids
+
+
+def _priors(photos: Sequence[_Photo]) -> tuple[Georeference | None, Mapping[str, PosePrior]]:
+    """Return the origin and the position priors in metres east, north and up of it."""
+    placed = [(photo.name, photo.tags.position) for photo in photos if photo.tags.position is not None]
+    if not placed:
+        return None, {}
+    origin = placed[0][1]
+    geodetic = np.array([position for _, position in placed])
+    transform = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84)
+    enu = np.asarray(transform.ellipsoid_to_enu(geodetic, *origin))
+    priors = {name: PosePrior(position=row) for (name, _), row in zip(placed, enu, strict=True)}
+    return Georeference(*origin), priors
+
+
+def _warnings(photos: Sequence[_Photo]) -> tuple[str, ...]:
+    """Return one sentence for each kind of trouble, with the names of the photos that have it."""
+    troubles: dict[str, list[str]] = {}
+    for photo in photos:
+        for doubt in photo.tags.doubts:
+            troubles.setdefault(doubt, []).append(photo.name)
+    placed = sum(photo.tags.position is not None for photo in photos)
+    if 0 < placed < len(photos):
+        without = [photo.name for photo in photos if photo.tags.position is None]
+        troubles[f"no GPS position, which {placed} others have"] = without
+    return tuple(
+        f"{len(names)} of {len(photos)} photos: {what} ({_some(names)})" for what, names in troubles.items()
+    )
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

@@ -1,0 +1,140 @@
+"""Pictures as arrays: strict loading, sizes without decoding, and resampling by area."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from scipy import sparse
+
+from toolkit.errors import DataError
+
+Value = TypeVar("Value", bound=np.generic)
+
+_FORMATS = ("JPEG", "PNG", "TIFF")
+
+# Modes that Pillow turns into RGB without loss of meaning; alpha is dropped, the colours below it stay.
+_EIGHT_BIT = {"1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV"}
+
+
+@contextmanager
+def open_picture(path: Path) -> Iterator[Image.Image]:
+    """Open a picture without decoding it; whatever fails inside the block is told as a :class:`DataError`.
+
+    Raises
+    ------
+    DataError
+        Where the file is missing, empty, no picture, cut off or damaged; the message names the file.
+    """
+    try:
+        with Image.open(path, formats=_FORMATS) as picture:
+            yield picture
+    except FileNotFoundError as error:
+        raise DataError(f"Picture {path} is missing", todo="Put it back or take it out of the scene") from error
+    except UnidentifiedImageError as error:
+        size = path.stat().st_size
+        raise DataError(
+            f"{path} is no picture",
+            expected="a JPEG, PNG or TIFF file",
+            found=f"{size} bytes that are none" if size else "an empty file",
+            todo="Copy it again from the camera, or delete it",
+        ) from error
+    except Image.DecompressionBombError as error:
+        raise DataError(f"Picture {path} is too large", found=str(error), todo="Cut or shrink it first") from error
+    # Pillow's plugins raise these where a file lies about its content.
+    except (OSError, SyntaxError, ValueError, EOFError, LookupError, TypeError, struct.error, zlib.error) as error:
+        raise DataError(
+            f"Picture {path} is cut off or damaged",
+            found=str(error),
+            todo="Copy it again from the camera, or delete it",
+        ) from error
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Return width and height in pixels, as stored, without decoding. Raises as :func:`open_picture`."""
+    with open_picture(path) as picture:
+        return picture.width, picture.height
+
+
+def check_picture(path: Path) -> None:
+    """Decode a picture to its end and forget it. Raises as :func:`open_picture`.
+
+    JPEG files are decoded at an eighth of their size, which reads all their bytes and is three times as fast.
+    """
+    with open_picture(path) as picture:
+        picture.draft(picture.mode, (max(1, picture.width // 8), max(1, picture.height // 8)))
+        picture.load()
+
+
+def load_picture(path: Path) -> NDArray[np.uint8]:
+    """Return a picture's pixels as stored, (H, W, 3) uint8 RGB.
+
+    The orientation tag of EXIF is not applied (COLMAP does not, either). Grey becomes equal channels; 16-bit grey
+    is scaled by 1/257; CMYK is converted; alpha is dropped and the colours below it stay as they are stored.
+
+    Raises
+    ------
+    DataError
+        Where the file is missing, empty, no picture, cut off or damaged, or of a kind without a defined
+        conversion to 8 bits (floating point, 32-bit, Lab).
+    """
+    with open_picture(path) as picture:
+        picture.load()
+        if picture.mode.startswith("I;16") or (picture.mode == "I" and picture.format == "PNG"):
+            grey = np.asarray(picture).astype(np.uint16)
+            # Rounded division by 257, so that 0 and 65535 become 0 and 255.
+            eight = ((grey.astype(np.uint32) + 128) // 257).astype(np.uint8)
+            return np.repeat(eight[..., None], 3, axis=2)
+        if picture.mode in _EIGHT_BIT:
+            return np.array(picture.convert("RGB"), dtype=np.uint8)
+        mode = picture.mode
+    raise DataError(
+        f"Picture {path} has pixels of kind '{mode}'",
+        expected="8-bit colour or grey, or 16-bit grey",
+        todo="Convert it to 8 bits with a brightness range of your choice",
+    )
+
+
+def area_resize(image: NDArray[Value], width: int, height: int) -> NDArray[Value]:
+    """Resample by area: each new pixel is the mean of the old pixels it covers, in proportion to the overlap.
+
+    Parameters
+    ----------
+    image:
+        (H, W) or (H, W, C); integers are rounded, floats stay.
+    width, height:
+        New size in pixels, at least 1. Enlarging repeats pixels, mixing them where edges do not coincide.
+
+    Returns
+    -------
+    (height, width) or (height, width, C) of the same type. Pixel edges, and so the convention that centres lie at
+    +0.5, are kept: a camera is to be scaled by ``ColmapCamera.scaled``.
+    """
+    if width < 1 or height < 1:
+        raise ValueError(f"expected a size of at least 1x1, got {width}x{height}")
+    if image.shape[:2] == (height, width):
+        return image.copy()
+    # One channel at a time in single precision: the working copy of a large photo stays small.
+    exact = np.float64 if image.dtype == np.float64 else np.float32
+    down, across = _overlaps(image.shape[0], height, exact), _overlaps(image.shape[1], width, exact)
+    planes = image.reshape(*image.shape[:2], -1)
+    made = np.empty((height, width, planes.shape[2]), dtype=image.dtype)
+    for channel in range(planes.shape[2]):
+        mean = (across @ (down @ planes[:, :, channel].astype(exact)).T).T
+        made[:, :, channel] = np.rint(mean) if np.issubdtype(image.dtype, np.integer) else mean
+    return made.reshape(height, width, *image.shape[2:])
+
+
+def _overlaps(old: int, new: int, dtype: type[np.floating[Any]]) -> sparse.csr_array:
+    """Return the (new, old) matrix of shares that old pixels have in new ones; its rows sum to one."""
+    # Edges of both grids in units of 1 / (old * new) of the side, so that they are whole numbers.
+    edges = np.unique(np.concatenate([np.arange(old + 1) * new, np.arange(new + 1) * old]))
+    shares = np.diff(edges) / old
+    return sparse.csr_array((shares.astype(dtype), (edges[:-1] // old, edges[:-1] // new)), shape=(new, old))

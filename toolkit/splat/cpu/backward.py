@@ -1,0 +1,263 @@
+"""Gradients of blending, front to back once more.
+
+With q_i = colour_i . dL/dcolour + depth_i dL/ddepth sum, w_i = T_i alpha_i and the background's part t of the last
+transmittance, the loss depends on a pixel's alphas through S = sum w_i q_i + T_end t, and
+
+    dS / dalpha_i = T_i q_i - (S - sum_{j <= i} w_j q_j) / (1 - alpha_i).
+
+S is known from the images, so the pass goes the way of the forward one, in the same arithmetic, and needs nothing
+stored but the tile lists.
+
+The falloff's gradient is summed in the frame (u, v) = L^T (pixel - mean), where it needs no inverse covariance:
+with g = alpha dL/dalpha it is dL/dmean = L sum g (u, v) and dL/dcovariance = L (sum g (u, v) (u, v)^T) L^T / 2.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from toolkit.splat.cpu.footprint import MOST_RUNS, PIXELS, STRIDE, list_runs
+from toolkit.splat.cpu.forward import clear_transmittance, scattered
+from toolkit.splat.cpu.projection import HALF_LOG2_E_ROOT, LOG2_ALPHA_MIN
+from toolkit.splat.cpu.simd import (
+    LANES,
+    count,
+    exp2,
+    fma,
+    fnma,
+    lanes,
+    load,
+    select,
+    smaller,
+    some,
+    splat,
+    store,
+    sums,
+    total,
+)
+from toolkit.splat.cpu.tiles import (
+    BLUE,
+    DEPTH,
+    FACTOR_XX,
+    FACTOR_YX,
+    FACTOR_YY,
+    GREEN,
+    RED,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+)
+from toolkit.splat.rasterize import ALPHA_MAX, TRANSMITTANCE_MIN
+
+Array = np.ndarray[Any, Any]
+
+# Sums of one Gaussian in one tile: w dL/dcolour (3), w dL/ddepth, then of g: 1, u, v, uu, uv, vv.
+SLOT = 10
+
+
+@njit(error_model="numpy", cache=True)
+def _load_pixels(
+    left: int,
+    top: int,
+    images: tuple[Array, Array, Array],
+    gradients: tuple[Array, Array, Array],
+    planes: tuple[Array, Array, Array, Array, Array],
+    background_gradient: Array,
+) -> None:
+    """Fill a tile's planes: the part of S still to come, dL/dcolour (3), dL/d(sum of w depth); sum the background's.
+
+    ``images`` and ``gradients`` are colour, alpha and depth, and the gradients by them.
+    """
+    colour, alpha, depth = images
+    colour_gradient, alpha_gradient, depth_gradient = gradients
+    rests, reds, greens, blues, depths = planes
+    height, width = alpha.shape
+    for i in range(top, min(top + TILE_HEIGHT, height)):
+        for j in range(left, min(left + TILE_WIDTH, width)):
+            place = (i - top) * STRIDE + j - left
+            left_over = np.float32(1) - alpha[i, j]
+            red, green, blue = colour_gradient[i, j, 0], colour_gradient[i, j, 1], colour_gradient[i, j, 2]
+            # The mean depth is the sum of w depth over alpha: its gradient by alpha joins that of alpha itself.
+            per_sum = depth_gradient[i, j] / alpha[i, j] if alpha[i, j] > 0 else np.float32(0)
+            of_alpha = alpha_gradient[i, j] - per_sum * depth[i, j]
+            rest = colour[i, j, 0] * red + colour[i, j, 1] * green + colour[i, j, 2] * blue
+            rests[place] = rest + depth[i, j] * depth_gradient[i, j] - left_over * of_alpha
+            reds[place], greens[place], blues[place], depths[place] = red, green, blue, per_sum
+            background_gradient[0] += left_over * red
+            background_gradient[1] += left_over * green
+            background_gradient[2] += left_over * blue
+
+
+@njit(error_model="numpy", cache=True)
+def _blend_tile_backward(
+    left: int,
+    top: int,
+    records: Array,
+    entries: Array,
+    images: tuple[Array, Array, Array],
+    gradients: tuple[Array, Array, Array],
+    slots: Array,
+    background_gradient: Array,
+) -> None:
+    """Fill the slots of the entries of one tile."""
+    height, width = images[1].shape
+    places = np.empty(MOST_RUNS, dtype=np.int32)
+    us, vs, limits = (
+        np.empty(MOST_RUNS, dtype=np.float32),
+        np.empty(MOST_RUNS, dtype=np.float32),
+        np.empty(MOST_RUNS, dtype=np.float32),
+    )
+    rows, counts = np.empty((3, LANES), dtype=np.float32), np.empty((2, LANES), dtype=np.int32)
+    transmittance, rests = np.empty(PIXELS, dtype=np.float32), np.zeros(PIXELS, dtype=np.float32)
+    reds, greens, blues, depths = (
+        np.zeros(PIXELS, dtype=np.float32),
+        np.zeros(PIXELS, dtype=np.float32),
+        np.zeros(PIXELS, dtype=np.float32),
+        np.zeros(PIXELS, dtype=np.float32),
+    )
+    clear_transmittance(transmittance, min(TILE_WIDTH, width - left), min(TILE_HEIGHT, height - top))
+    _load_pixels(left, top, images, gradients, (rests, reds, greens, blues, depths), background_gradient)
+    for entry in range(len(entries)):
+        record = records[entries[entry, 0]]
+        found = list_runs(record, left, top, places, us, vs, limits, rows, counts)
+        across = lanes() * record[FACTOR_XX]
+        red, green, blue, z = splat(record[RED]), splat(record[GREEN]), splat(record[BLUE]), splat(record[DEPTH])
+        zero, one = splat(0.0), splat(1.0)
+        d_red, d_green, d_blue, d_depth = zero, zero, zero, zero
+        g_sum, g_u, g_v, g_uu, g_uv, g_vv = zero, zero, zero, zero, zero, zero
+        for k in range(found):
+            place = places[k]
+            before = load(transmittance, place)
+            u = across + us[k]
+            power = fnma(u, u, splat(limits[k]))
+            hit = (power >= LOG2_ALPHA_MIN) & (before > 0.0)
+            if not some(hit):
+                continue
+            uncapped = exp2(power)
+            a = smaller(uncapped, splat(ALPHA_MAX))
+            after = fnma(before, a, before)
+            drawn = hit & (after > TRANSMITTANCE_MIN)
+            finished = drawn ^ hit
+            weight = select(drawn, before * a, zero)
+            by_red, by_green, by_blue, by_depth = (
+                load(reds, place),
+                load(greens, place),
+                load(blues, place),
+                load(depths, place),
+            )
+            q = fma(red, by_red, fma(green, by_green, fma(blue, by_blue, z * by_depth)))
+            rest = fnma(weight, q, load(rests, place))
+            store(rests, place, rest)
+            d_alpha = fma(before, q, zero - rest / (one - a))
+            g = select(drawn & (uncapped <= ALPHA_MAX), d_alpha * a, zero)
+            d_red, d_green, d_blue = fma(weight, by_red, d_red), fma(weight, by_green, d_green), fma(weight, by_blue, d_blue)
+            d_depth = fma(weight, by_depth, d_depth)
+            v = splat(vs[k])
+            gu, gv = g * u, g * v
+            g_sum, g_u, g_v = g_sum + g, g_u + gu, g_v + gv
+            g_uu, g_uv, g_vv = fma(gu, u, g_uu), fma(gu, v, g_uv), fma(gv, v, g_vv)
+            after = select(drawn, after, before)
+            if some(finished):
+                after = select(finished, zero - before, after)
+            store(transmittance, place, after)
+        slot = entries[entry, 1] * SLOT
+        store(slots, slot, sums(d_red, d_green, d_blue, d_depth, g_sum, g_u, g_v, g_uu))
+        slots[slot + 8], slots[slot + 9] = total(g_uv), total(g_vv)
+
+
+@njit(error_model="numpy", cache=True, parallel=True)
+def _blend_backward(
+    starts: Array,
+    entries: Array,
+    used: Array,
+    records: Array,
+    columns: int,
+    images: tuple[Array, Array, Array],
+    gradients: tuple[Array, Array, Array],
+    slots: Array,
+    background_gradients: Array,
+) -> None:
+    """Fill the slots of all tiles; those of entries that the forward pass did not reach become zero."""
+    tiles = len(starts) - 1
+    for task in prange(tiles):
+        tile = scattered(np.int64(task), tiles)
+        left, top = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
+        start, end = starts[tile], starts[tile + 1]
+        own = entries[start : start + used[tile]]
+        _blend_tile_backward(left, top, records, own, images, gradients, slots, background_gradients[tile])
+        for entry in range(start + used[tile], end):
+            slot = entries[entry, 1] * SLOT
+            slots[slot : slot + SLOT] = np.float32(0)
+
+
+@njit(error_model="numpy", cache=True)
+def _add_slots(
+    rank: int, first_slots: Array, slots: Array, record: Array, opacity: float, mean2d: Array, splat_gradient: Array
+) -> None:
+    """Add up one Gaussian's slots and turn them into gradients by its footprint."""
+    sums_of = np.zeros(SLOT, dtype=np.float32)
+    for slot in range(first_slots[rank], first_slots[rank + 1]):
+        for k in range(SLOT):
+            sums_of[k] += slots[slot * SLOT + k]
+    xx, yx, yy = record[FACTOR_XX], record[FACTOR_YX], record[FACTOR_YY]
+    # The factors are scaled for powers of two; this scales back.
+    unit = np.float32(1 / HALF_LOG2_E_ROOT**2)
+    g, u, v, uu, uv, vv = sums_of[4], sums_of[5], sums_of[6], sums_of[7], sums_of[8], sums_of[9]
+    mean2d[0] = unit * xx * u
+    mean2d[1] = unit * (yx * u + yy * v)
+    half = np.float32(0.5) * unit * unit
+    splat_gradient[0] = half * xx * xx * uu
+    splat_gradient[1] = np.float32(2) * half * xx * (yx * uu + yy * uv)
+    splat_gradient[2] = half * (yx * yx * uu + np.float32(2) * yx * yy * uv + yy * yy * vv)
+    splat_gradient[3] = g / opacity
+    splat_gradient[4] = sums_of[3]
+    splat_gradient[5], splat_gradient[6], splat_gradient[7] = sums_of[0], sums_of[1], sums_of[2]
+
+
+@njit(error_model="numpy", cache=True, parallel=True)
+def _add_all_slots(
+    order: Array, first_slots: Array, slots: Array, records: Array, splats: Array, means2d: Array, gradients: Array
+) -> None:
+    for rank in prange(len(order)):
+        i = order[rank]
+        _add_slots(rank, first_slots, slots, records[rank], splats[i, 3], means2d[i], gradients[i])
+
+
+def blend_backward(
+    lists: Any,
+    used: Array,
+    splats: Array,
+    images: tuple[Array, Array, Array],
+    gradients: tuple[Array, Array, Array],
+    means2d_gradient: Array,
+    splats_gradient: Array,
+) -> Array:
+    """Differentiate the blending of one view.
+
+    Parameters
+    ----------
+    lists, used:
+        :class:`toolkit.splat.cpu.tiles.TileLists` and the number of entries that the forward pass used.
+    splats:
+        (N, 8) of the view.
+    images, gradients:
+        Colour (H, W, 3), alpha (H, W), expected depth (H, W), and the loss's gradients by them; contiguous.
+    means2d_gradient, splats_gradient:
+        (N, 2) and (N, 8) zeros, to be filled.
+
+    Returns
+    -------
+    Array
+        (3,) gradient by the background.
+    """
+    slots = np.empty(len(lists.entries) * SLOT, dtype=np.float32)
+    background = np.zeros((len(used), 3), dtype=np.float32)
+    _blend_backward(
+        lists.starts, lists.entries, used, lists.records, lists.columns, images, gradients, slots, background
+    )
+    _add_all_slots(
+        lists.order, lists.first_slots, slots, lists.records, splats, means2d_gradient, splats_gradient
+    )
+    return background.sum(axis=0, dtype=np.float64)

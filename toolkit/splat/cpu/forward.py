@@ -1,0 +1,175 @@
+"""Blending front to back, tile by tile (Kerbl et al. 2023, section 6)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from toolkit.splat.cpu.footprint import MOST_RUNS, PIXELS, STRIDE, list_runs
+from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
+from toolkit.splat.cpu.simd import (
+    LANES,
+    count,
+    exp2,
+    fma,
+    fnma,
+    lanes,
+    load,
+    select,
+    smaller,
+    some,
+    splat,
+    store,
+)
+from toolkit.splat.cpu.tiles import (
+    BLUE,
+    DEPTH,
+    FACTOR_XX,
+    GREEN,
+    RED,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+)
+from toolkit.splat.rasterize import ALPHA_MAX, TRANSMITTANCE_MIN
+
+Array = np.ndarray[Any, Any]
+
+
+@njit(error_model="numpy", cache=True)
+def clear_transmittance(transmittance: Array, width: int, height: int) -> int:
+    """Set a tile's transmittance to one, to minus one (finished) beyond the image; return its number of pixels.
+
+    ``width`` and ``height`` count the tile's columns and rows that lie in the image.
+    """
+    transmittance[:] = np.float32(-1)
+    for row in range(height):
+        transmittance[row * STRIDE : row * STRIDE + width] = np.float32(1)
+    return width * height
+
+
+@njit(error_model="numpy", cache=True)
+def _blend_tile(
+    left: int,
+    top: int,
+    records: Array,
+    entries: Array,
+    background: Array,
+    colour: Array,
+    alpha: Array,
+    depth: Array,
+    median: Array,
+) -> int:
+    """Blend one tile; return how many of its entries were used before all its pixels were finished.
+
+    A pixel is finished when its transmittance is negative; its size is what was left.
+    """
+    height, width = alpha.shape
+    tile_width, tile_height = min(TILE_WIDTH, width - left), min(TILE_HEIGHT, height - top)
+    places = np.empty(MOST_RUNS, dtype=np.int32)
+    us, vs, limits = (
+        np.empty(MOST_RUNS, dtype=np.float32),
+        np.empty(MOST_RUNS, dtype=np.float32),
+        np.empty(MOST_RUNS, dtype=np.float32),
+    )
+    rows, counts = np.empty((3, LANES), dtype=np.float32), np.empty((2, LANES), dtype=np.int32)
+    transmittance = np.empty(PIXELS, dtype=np.float32)
+    reds, greens, blues = (
+        np.zeros(PIXELS, dtype=np.float32),
+        np.zeros(PIXELS, dtype=np.float32),
+        np.zeros(PIXELS, dtype=np.float32),
+    )
+    depths, medians = np.zeros(PIXELS, dtype=np.float32), np.zeros(PIXELS, dtype=np.float32)
+    unfinished = clear_transmittance(transmittance, tile_width, tile_height)
+    used = len(entries)
+    for entry in range(len(entries)):
+        record = records[entries[entry, 0]]
+        found = list_runs(record, left, top, places, us, vs, limits, rows, counts)
+        across = lanes() * record[FACTOR_XX]
+        red, green, blue, z = splat(record[RED]), splat(record[GREEN]), splat(record[BLUE]), splat(record[DEPTH])
+        for k in range(found):
+            place = places[k]
+            before = load(transmittance, place)
+            u = across + us[k]
+            power = fnma(u, u, splat(limits[k]))
+            hit = (power >= LOG2_ALPHA_MIN) & (before > 0.0)
+            if not some(hit):
+                continue
+            a = smaller(exp2(power), splat(ALPHA_MAX))
+            after = fnma(before, a, before)
+            drawn = hit & (after > TRANSMITTANCE_MIN)
+            finished = drawn ^ hit
+            weight = select(drawn, before * a, splat(0.0))
+            store(reds, place, fma(weight, red, load(reds, place)))
+            store(greens, place, fma(weight, green, load(greens, place)))
+            store(blues, place, fma(weight, blue, load(blues, place)))
+            store(depths, place, fma(weight, z, load(depths, place)))
+            store(medians, place, select(drawn & (before > 0.5), z, load(medians, place)))
+            after = select(drawn, after, before)
+            if some(finished):
+                after = select(finished, splat(0.0) - before, after)
+                unfinished -= count(finished)
+            store(transmittance, place, after)
+        if unfinished == 0:
+            used = entry + 1
+            break
+    for row in range(tile_height):
+        for column in range(tile_width):
+            place = row * STRIDE + column
+            i, j = top + row, left + column
+            left_over = abs(transmittance[place])
+            drawn_share = np.float32(1) - left_over
+            alpha[i, j] = drawn_share
+            colour[i, j, 0] = reds[place] + left_over * background[0]
+            colour[i, j, 1] = greens[place] + left_over * background[1]
+            colour[i, j, 2] = blues[place] + left_over * background[2]
+            depth[i, j] = depths[place] / drawn_share if drawn_share > 0 else np.float32(0)
+            median[i, j] = medians[place]
+    return used
+
+
+@njit(error_model="numpy", cache=True)
+def scattered(task: int, tiles: int) -> int:
+    """Return the tile that is done as ``task``: neighbours in the image go to different threads.
+
+    Threads get consecutive tasks; without this one might get all the sky and another all the trees.
+    """
+    stripes = min(16, tiles)
+    length = tiles // stripes
+    whole = stripes * length
+    return task if task >= whole else (task % length) * stripes + task // length
+
+
+@njit(error_model="numpy", cache=True, parallel=True)
+def blend(
+    starts: Array,
+    entries: Array,
+    records: Array,
+    columns: int,
+    background: Array,
+    colour: Array,
+    alpha: Array,
+    depth: Array,
+    median: Array,
+    used: Array,
+) -> None:
+    """Blend all tiles of one view.
+
+    Parameters
+    ----------
+    starts, entries, records, columns:
+        Of :class:`toolkit.splat.cpu.tiles.TileLists`.
+    background:
+        (3,) float32.
+    colour, alpha, depth, median:
+        (H, W, 3), (H, W), (H, W), (H, W) float32, to be filled.
+    used:
+        (T,) int64, to be filled: number of entries of each tile that were looked at.
+    """
+    tiles = len(starts) - 1
+    for task in prange(tiles):
+        tile = scattered(np.int64(task), tiles)
+        left, top = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
+        own = entries[starts[tile] : starts[tile + 1]]
+        used[tile] = _blend_tile(left, top, records, own, background, colour, alpha, depth, median)

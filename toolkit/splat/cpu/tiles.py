@@ -1,0 +1,252 @@
+"""Which Gaussians touch which tile of the image, nearest first.
+
+Gaussians are sorted by depth once; then every tile's list is filled in that order by counting, so that no list
+needs sorting. Work is cut into a fixed number of runs, whatever the number of threads: the lists always repeat.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
+from toolkit.splat.cpu.threads import FAST
+
+Array = np.ndarray[Any, Any]
+
+TILE_WIDTH = 32
+TILE_HEIGHT = 16
+# Pixels by which a footprint is widened, against rounding.
+SLACK = 0.01
+
+# Columns of a record: what drawing one Gaussian needs, in one cache line.
+RECORD = 16
+MEAN_X, MEAN_Y = 0, 1
+FACTOR_XX, FACTOR_YX, FACTOR_YY, LOG_OPACITY = 2, 3, 4, 5
+DEPTH, RED, GREEN, BLUE = 6, 7, 8, 9
+SQUARED_EXTENT = 10  # |L^T d|^2 where the Gaussian falls to 1/255
+INVERSE_XX = 11
+HALF_HEIGHT = 12
+TOP_OF_X = 13  # offset in y, in pixels, at which the footprint reaches farthest to the right
+
+_MOST_RUNS = 64
+_SMALLEST_RUN = 512
+
+
+@dataclass(frozen=True, slots=True)
+class TileLists:
+    """The drawing order of one view.
+
+    Attributes
+    ----------
+    order:
+        (V,) the drawn Gaussians, nearest first; a Gaussian's place in it is its rank.
+    records:
+        (V, RECORD) float32 by rank.
+    starts:
+        (T + 1,) where each tile's list starts in ``entries``; tiles row by row.
+    entries:
+        (E, 2) int32: rank, and slot, of each Gaussian in each tile.
+    first_slots:
+        (V + 1,) where each Gaussian's slots start: a slot belongs to one Gaussian in one tile.
+    columns, rows:
+        Number of tiles in either direction.
+    """
+
+    order: Array
+    records: Array
+    starts: Array
+    entries: Array
+    first_slots: Array
+    columns: int
+    rows: int
+
+
+def build_tile_lists(
+    means2d: Array, splats: Array, factors: Array, radii: Array, width: int, height: int
+) -> TileLists:
+    """Return the drawing order of one view.
+
+    Parameters
+    ----------
+    means2d, splats, factors, radii:
+        (N, 2), (N, 8), (N, 4) and (N, 1) of :func:`toolkit.splat.cpu.projection.project`.
+    width, height:
+        Image size in pixels.
+    """
+    columns, rows = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
+    order = depth_order(splats[:, 4], radii[:, 0])
+    count = len(order)
+    runs = min(_MOST_RUNS, -(-count // _SMALLEST_RUN))
+    records = np.empty((count, RECORD), dtype=np.float32)
+    first_slots = np.zeros(count + 1, dtype=np.int32)
+    cursors = np.zeros((runs, rows * columns), dtype=np.int32)
+    _count(order, means2d, splats, factors, records, first_slots, cursors, width, columns, rows)
+    starts = np.zeros(rows * columns + 1, dtype=np.int64)
+    _accumulate(cursors, starts, first_slots)
+    entries = np.empty((starts[-1], 2), dtype=np.int32)
+    _fill(records, first_slots, cursors, entries, width, columns, rows)
+    return TileLists(order, records, starts, entries, first_slots, columns, rows)
+
+
+def depth_order(depths: Array, radii: Array) -> Array:
+    """Return the indices (V,) int32 of Gaussians with a radius, sorted by depth, then by index."""
+    drawn = np.flatnonzero(radii > 0).astype(np.uint64)
+    # The bits of positive floats sort like the floats, and plain integers sort fastest.
+    keys = np.ascontiguousarray(depths[drawn]).view(np.uint32).astype(np.uint64) << np.uint64(32) | drawn
+    keys.sort()
+    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
+
+
+@njit(fastmath=FAST, error_model="numpy", cache=True)
+def _write_record(record: Array, mean2d: Array, splat: Array, factor: Array) -> None:
+    """Gather what drawing one Gaussian needs."""
+    for k in range(2):
+        record[MEAN_X + k] = mean2d[k]
+    for k in range(4):
+        record[FACTOR_XX + k] = factor[k]
+        record[DEPTH + k] = splat[4 + k]
+    squared = max(factor[3] - np.float32(LOG2_ALPHA_MIN), np.float32(0))
+    record[SQUARED_EXTENT] = squared
+    record[INVERSE_XX] = np.float32(1) / factor[0]
+    record[HALF_HEIGHT] = math.sqrt(squared) / factor[2]
+    record[TOP_OF_X] = splat[1] / math.sqrt(splat[0] * splat[2]) * record[HALF_HEIGHT]
+
+
+@njit(fastmath=FAST, error_model="numpy", cache=True)
+def _tile_rows(record: Array, rows: int) -> tuple[int, int]:
+    """Return the first and one past the last row of tiles that a footprint touches."""
+    top = math.floor(max(record[MEAN_Y] - record[HALF_HEIGHT] - SLACK, 0.0))
+    bottom = math.floor(min(record[MEAN_Y] + record[HALF_HEIGHT] + SLACK, rows * TILE_HEIGHT - 1.0))
+    return int(top) // TILE_HEIGHT, int(bottom) // TILE_HEIGHT + 1
+
+
+@njit(fastmath=FAST, error_model="numpy", cache=True)
+def _tile_columns(record: Array, row: int, width: int) -> tuple[int, int]:
+    """Return the first and one past the last tile that a footprint touches in a row of tiles."""
+    half = record[HALF_HEIGHT]
+    low = min(max(row * TILE_HEIGHT - record[MEAN_Y], -half), half)
+    high = min(max((row + 1) * TILE_HEIGHT - record[MEAN_Y], -half), half)
+    # The ellipse reaches farthest where it does so as a whole, or at the nearer edge of the row.
+    at_right = min(max(record[TOP_OF_X], low), high)
+    at_left = min(max(-record[TOP_OF_X], low), high)
+    v_right, v_left = record[FACTOR_YY] * at_right, record[FACTOR_YY] * at_left
+    squared, yx, inverse = record[SQUARED_EXTENT], record[FACTOR_YX], record[INVERSE_XX]
+    right = (math.sqrt(max(squared - v_right * v_right, 0.0)) - yx * at_right) * inverse
+    left = (-math.sqrt(max(squared - v_left * v_left, 0.0)) - yx * at_left) * inverse
+    first = math.floor(max(record[MEAN_X] + left - SLACK, 0.0))
+    last = math.floor(min(record[MEAN_X] + right + SLACK, width - 1.0))
+    if last < first:
+        return 0, 0
+    return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH + 1
+
+
+@njit(error_model="numpy", cache=True)
+def _count_run(
+    start: int,
+    end: int,
+    order: Array,
+    means2d: Array,
+    splats: Array,
+    factors: Array,
+    records: Array,
+    counts: Array,
+    cursor: Array,
+    width: int,
+    columns: int,
+    rows: int,
+) -> None:
+    for rank in range(start, end):
+        i, record = order[rank], records[rank]
+        _write_record(record, means2d[i], splats[i], factors[i])
+        total = 0
+        first_row, end_row = _tile_rows(record, rows)
+        for row in range(first_row, end_row):
+            first, stop = _tile_columns(record, row, width)
+            for tile in range(row * columns + first, row * columns + stop):
+                cursor[tile] += 1
+            total += stop - first
+        counts[rank + 1] = total
+
+
+@njit(error_model="numpy", cache=True, parallel=True)
+def _count(
+    order: Array,
+    means2d: Array,
+    splats: Array,
+    factors: Array,
+    records: Array,
+    counts: Array,
+    cursors: Array,
+    width: int,
+    columns: int,
+    rows: int,
+) -> None:
+    """Write all records, the number of tiles of each rank, and the number of entries of each run and tile."""
+    count, runs = len(order), len(cursors)
+    for run in prange(runs):
+        start, end = run * count // runs, (run + 1) * count // runs
+        cursor = cursors[run]
+        _count_run(start, end, order, means2d, splats, factors, records, counts, cursor, width, columns, rows)
+
+
+@njit(error_model="numpy", cache=True)
+def _accumulate(cursors: Array, starts: Array, first_slots: Array) -> None:
+    """Turn counts into positions: where each run writes into each tile's list, and each rank's first slot."""
+    runs, tiles = cursors.shape
+    position = 0
+    for tile in range(tiles):
+        starts[tile] = position
+        for run in range(runs):
+            here = cursors[run, tile]
+            cursors[run, tile] = position
+            position += here
+    starts[tiles] = position
+    for rank in range(1, len(first_slots)):
+        first_slots[rank] += first_slots[rank - 1]
+
+
+@njit(error_model="numpy", cache=True)
+def _fill_run(
+    start: int,
+    end: int,
+    records: Array,
+    first_slots: Array,
+    cursor: Array,
+    entries: Array,
+    width: int,
+    columns: int,
+    rows: int,
+) -> None:
+    for rank in range(start, end):
+        record, slot = records[rank], first_slots[rank]
+        first_row, end_row = _tile_rows(record, rows)
+        for row in range(first_row, end_row):
+            first, stop = _tile_columns(record, row, width)
+            for tile in range(row * columns + first, row * columns + stop):
+                position = cursor[tile]
+                cursor[tile] = position + 1
+                entries[position, 0] = rank
+                entries[position, 1] = slot
+                slot += 1
+
+
+@njit(error_model="numpy", cache=True, parallel=True)
+def _fill(
+    records: Array,
+    first_slots: Array,
+    cursors: Array,
+    entries: Array,
+    width: int,
+    columns: int,
+    rows: int,
+) -> None:
+    """Write the entries of all runs; runs write to places of their own."""
+    count, runs = len(records), len(cursors)
+    for run in prange(runs):
+        start, end = run * count // runs, (run + 1) * count // runs
+        _fill_run(start, end, records, first_slots, cursors[run], entries, width, columns, rows)
