@@ -9,6 +9,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from PIL import Image
@@ -19,7 +20,7 @@ from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import ProgressEvent
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult, StageTime, TestView
-from toolkit.runs.folder import open_run
+from toolkit.runs.folder import RunFolder, open_run
 from toolkit.runs.launch import execute, resume
 from toolkit.scene import Frame, Scene
 from toolkit.settings import Group, Integer, Number, Settings
@@ -127,6 +128,12 @@ RECIPE = Recipe(
     settings_type=FakeSettings,
     run=run,
 )
+
+
+class MakeRun(Protocol):
+    """What the fixtures that make runs are."""
+
+    def __call__(self, *, name: str = "", seed: int = 0, data: Path | None = None, **changes: Any) -> RunFolder: ...
 
 
 def write_photos(folder: Path, count: int = 6, *, seed: int = 0) -> Path:

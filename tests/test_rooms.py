@@ -21,7 +21,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "samples": {"geometry", "scene"},
     "matching": {"geometry", "scene"},
     "poses": {"geometry", "scene", "matching"},
-    "splat": {"geometry", "scene"},
+    "splat": {"geometry", "scene", "metrics"},
     "recipes": {"geometry", "scene", "metrics", "samples", "matching", "poses", "splat"},
     "plots": {"geometry", "scene", "metrics"},
     "runs": {"geometry", "scene", "metrics", "splat", "recipes", "plots"},

@@ -8,7 +8,7 @@ import sys
 import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, TypeVar, get_args
 
 import toolkit
 from toolkit.errors import Cancelled, SettingsError, ToolkitError
@@ -16,6 +16,8 @@ from toolkit.progress import Progress, TqdmProgress
 
 if TYPE_CHECKING:
     from toolkit.runs.folder import RunFolder
+
+T = TypeVar("T")
 
 _RUN_HELP = "id, unique beginning of an id, name, path, latest or latest-<n> (n runs before)"
 _Command = Callable[[argparse.Namespace], None]
@@ -135,14 +137,18 @@ def _run(arguments: argparse.Namespace) -> None:
     settings = recipe.settings_type()
     if arguments.settings is not None:
         settings = recipe.settings_type.from_json(_text_of(arguments.settings))
-    run = create_run(
-        recipe,
-        arguments.data,
-        settings.replace_from_text(arguments.set),
-        arguments.runs,
-        seed=arguments.seed,
-        device=arguments.device,
-        name=arguments.name,
+    changed = settings.replace_from_text(arguments.set)
+    run = _with_bar(
+        lambda bar: create_run(
+            recipe,
+            arguments.data,
+            changed,
+            arguments.runs,
+            seed=arguments.seed,
+            device=arguments.device,
+            name=arguments.name,
+            progress=bar,
+        )
     )
     print(f"Run {run.id} in {run.path}", file=sys.stderr)
     _finish(run, execute)
@@ -155,10 +161,10 @@ def _text_of(path: Path) -> str:
         raise SettingsError(f"Cannot read {path}", expected="a JSON file of settings", found=str(error)) from error
 
 
-def _with_bar(work: Callable[[TqdmProgress], object]) -> None:
+def _with_bar(work: Callable[[TqdmProgress], T]) -> T:
     bar = TqdmProgress()
     try:
-        work(bar)
+        return work(bar)
     finally:
         bar.close()
 
@@ -266,8 +272,8 @@ def _export(arguments: argparse.Namespace) -> None:
     from toolkit.runs.index import find_run
 
     run = find_run(arguments.run, arguments.runs)
-    made = export_run(run, arguments.to, arguments.format)
-    print(f"Wrote {made} of run {run.id} to {arguments.to}")
+    _with_bar(lambda bar: export_run(run, arguments.to, arguments.format, progress=bar))
+    print(f"Wrote {arguments.to} from run {run.id}")
 
 
 def _add_sample(commands: argparse._SubParsersAction, with_flags: bool) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pytest
-from fake_recipe import RECIPE, FakeSettings, write_photos
+from fake_recipe import RECIPE, FakeSettings, MakeRun, write_photos
 
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import create_run, execute
@@ -20,10 +20,6 @@ def photos(tmp_path: Path) -> Path:
 @pytest.fixture
 def runs_dir(tmp_path: Path) -> Path:
     return tmp_path / "runs"
-
-
-class MakeRun(Protocol):
-    def __call__(self, *, name: str = "", seed: int = 0, data: Path | None = None, **changes: Any) -> RunFolder: ...
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from conftest import MakeRun
+from fake_recipe import MakeRun
 
 from toolkit.errors import Cancelled, StageError
 from toolkit.progress import ProgressEvent
@@ -90,7 +90,10 @@ def test_an_error_that_nobody_foresaw_names_its_kind(run: RunFolder) -> None:
 
 @pytest.mark.parametrize(
     ("error", "told"),
-    [(Cancelled("Cancelled in stage train at 3 of 9"), "Cancelled in stage train"), (KeyboardInterrupt(), "Ctrl-C")],
+    [
+        (Cancelled("Cancelled in stage train at 3 of 9"), "Cancelled in stage train"),
+        (KeyboardInterrupt(), "Ctrl-C"),
+    ],
 )
 def test_a_stopped_run_is_cancelled_without_traceback(run: RunFolder, error: BaseException, told: str) -> None:
     with pytest.raises(type(error)), journal(run):

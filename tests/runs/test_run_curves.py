@@ -96,7 +96,9 @@ def test_a_resumed_run_counts_its_time_on(path: Path) -> None:
 def test_damaged_lines_are_left_out_and_counted(path: Path) -> None:
     write(path, (0.1, 1, 5.0))
     with path.open("a") as file:
-        file.write("what?\n0.2,train,two,loss,4.0\nnan,train,2,loss,4.0\n0.2,train,2,loss,much\n\x00\x00\n0.3,train,3,loss,3\n")
+        file.write(
+            "what?\n0.2,train,two,loss,4.0\nnan,train,2,loss,4.0\n0.2,train,2,loss,much\n\x00\x00\n0.3,train,3,loss,3\n"
+        )
     curves = read_curves(path)
     assert curves.damaged_lines == 5
     assert curves.curves[0].steps.tolist() == [1, 3]
@@ -116,7 +118,9 @@ def test_a_missing_file_is_told(path: Path) -> None:
 
 
 @given(st.binary(max_size=300))
-def test_whatever_follows_the_header_never_breaks_the_reader(tmp_path_factory: pytest.TempPathFactory, rest: bytes) -> None:
+def test_whatever_follows_the_header_never_breaks_the_reader(
+    tmp_path_factory: pytest.TempPathFactory, rest: bytes
+) -> None:
     path = tmp_path_factory.mktemp("curves") / "metrics.csv"
     path.write_bytes(HEADER.encode() + b"\n0.1,train,1,loss,5.0\n" + rest)
     loss = read_curves(path).find("train", "loss")

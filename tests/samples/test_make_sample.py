@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 from toolkit.scene.folder import read_scene
 
 from toolkit.errors import Cancelled, DataError, StageError
 from toolkit.progress import ProgressEvent
 from toolkit.samples.make import ORIGIN, SampleSettings, make_sample, read_depth
-from toolkit.samples.town import build_town
+from toolkit.samples.town import Town, build_town
 from toolkit.scene import Scene
+
+Judge = Callable[[Town, NDArray[np.float64]], NDArray[np.float64]]
 
 SMALL = SampleSettings().replace(
     {
@@ -61,11 +65,11 @@ def test_the_scene_holds_pictures_poses_priors_and_points(made: tuple[Path, Scen
     np.testing.assert_array_equal(again.centres(), scene.centres())
 
 
-def test_points_and_depths_lie_on_the_town(made: tuple[Path, Scene]) -> None:
+def test_points_and_depths_lie_on_the_town(made: tuple[Path, Scene], surface_distance: Judge) -> None:
     folder, scene = made
     town = build_town(SMALL.town, np.random.default_rng([5, 0]))
     assert scene.points is not None
-    assert town.clearance(scene.points.xyz).max() < 1e-3
+    assert surface_distance(town, scene.points.xyz).max() < 1e-3
     assert np.linalg.norm(scene.points.xyz[:, :2], axis=1).max() < SMALL.town.extent
     frame = scene.frames[3]
     pose, camera = frame.cam_from_world, scene.camera_of(frame)
@@ -76,7 +80,7 @@ def test_points_and_depths_lie_on_the_town(made: tuple[Path, Scene]) -> None:
     row, column = np.nonzero(depth)
     origins, directions = camera.ray(np.stack([column, row], axis=1) + 0.5)
     points = origins + directions * (depth[row, column] / directions[:, 2])[:, None]
-    assert town.clearance(pose.inverse().apply(points)).max() < 1e-3
+    assert surface_distance(town, pose.inverse().apply(points)).max() < 1e-3
 
 
 def test_points_have_the_colours_of_the_pictures(made: tuple[Path, Scene]) -> None:
@@ -110,12 +114,12 @@ def test_the_same_seed_gives_the_same_files_and_another_does_not(made: tuple[Pat
             assert other[name] != original[name]
 
 
-def test_another_flight_is_over_the_same_town(made: tuple[Path, Scene], tmp_path: Path) -> None:
+def test_another_flight_is_over_the_same_town(tmp_path: Path, surface_distance: Judge) -> None:
     changed = SMALL.replace({"flight.frames": 2, "flight.height": 90.0})
     scene = make_sample(tmp_path / "high", changed, seed=5)
     town = build_town(SMALL.town, np.random.default_rng([5, 0]))
     assert scene.points is not None
-    assert town.clearance(scene.points.xyz).max() < 1e-3
+    assert surface_distance(town, scene.points.xyz).max() < 1e-3
 
 
 def test_priors_scatter_about_the_truth_by_their_sigma(tmp_path: Path) -> None:
@@ -187,6 +191,10 @@ def test_damaged_depth_maps_are_named(made: tuple[Path, Scene], tmp_path: Path) 
         broken.write_bytes(content)
         with pytest.raises(DataError, match="Cannot read the depth map"):
             read_depth(tmp_path, frame)
+    with broken.open("wb") as handle:
+        np.save(handle, np.zeros(3))
+    with pytest.raises(DataError, match="Cannot read the depth map"):
+        read_depth(tmp_path, frame)
     np.savez(broken, other=np.zeros(3))
     with pytest.raises(DataError, match="Cannot read the depth map"):
         read_depth(tmp_path, frame)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,6 +13,8 @@ from toolkit.geometry.rigid import RigidTransform
 from toolkit.samples.make import view_points
 from toolkit.samples.town import SKY, Material, RenderedView, Town, TownSettings, build_town, render_view
 from toolkit.samples.town.render import develop, sample_pattern
+
+Judge = Callable[[Town, NDArray[np.float64]], NDArray[np.float64]]
 
 CAMERA = ColmapCamera.pinhole(64, 48, 50.0)
 LARGE = ColmapCamera.pinhole(160, 120, 125.0)
@@ -38,12 +42,16 @@ def seen_pixels(view: RenderedView) -> NDArray[np.int64]:
     [CAMERA, ColmapCamera("OPENCV_FISHEYE", 64, 48, (30.0, 31.0, 32.5, 24.0, 0.01, -0.005, 0.0, 0.0))],
     ids=["pinhole", "fisheye"],
 )
-def test_depths_lie_on_the_surface(town: Town, camera: ColmapCamera, pose: RigidTransform) -> None:
+def test_depths_lie_on_the_surface(
+    town: Town, camera: ColmapCamera, pose: RigidTransform, surface_distance: Judge
+) -> None:
     view = render_view(town, camera, pose, samples=1)
     points = view_points(view, camera, pose, seen_pixels(view))
     assert len(points) > 1000
-    # Depths are float32: 1e-4 m at the farthest hill.
-    assert town.clearance(points).max() < 1e-3
+    distance = surface_distance(town, points)
+    # Near an edge the judge may name the neighbouring triangle; elsewhere float32 depth is all that is lost.
+    assert distance.max() < 1e-3
+    assert np.quantile(distance, 0.97) < 1e-4
 
 
 def test_a_point_seen_in_one_view_is_where_the_other_sees_it(town: Town) -> None:
@@ -133,30 +141,41 @@ def differences(town: Town) -> tuple[NDArray, NDArray, NDArray]:
     return np.abs(a - b).mean(axis=1), np.abs(a - mixed).mean(axis=1), material
 
 
-def test_texture_stays_on_its_surface_and_glass_reflects() -> None:
-    town = make_town(glass_share=0.5)
+def test_texture_stays_on_its_surface(town: Town) -> None:
     real, mixed, material = differences(town)
     plain = material != Material.GLASS
     # Half a pixel of difference in where the two views sample a detailed texture remains.
-    assert np.median(real[plain]) < 0.35 * np.median(mixed[plain])
-    walls, glass = material == Material.FACADE, material == Material.GLASS
-    assert min(walls.sum(), glass.sum()) > 100
+    assert np.median(real[plain]) < 0.15 * np.median(mixed[plain])
 
 
 def test_glass_shows_what_stands_before_it() -> None:
     town = make_town(glass_share=1.0)
-    front = next(f for f in np.flatnonzero(town.mesh.material == Material.GLASS) if town.mesh.style[f, 4] == 0.0)
-    triangle = np.flatnonzero(town.mesh.face == front)[0]
-    corner = town.mesh.vertices[town.mesh.triangles[triangle]].astype(float)
-    outward = town.mesh.normal[triangle]
-    middle = corner.mean(axis=0) * [1, 1, 0] + [0, 0, 4.0]
-    colours = []
-    for side in (-1.0, 1.0):
-        place = middle + 3.0 * outward + side * 1.5 * town.mesh.u_axis[front]
-        view = render_view(town, LARGE, RigidTransform.look_at(place, middle))
-        assert np.mean(view.material == Material.GLASS) > 0.5
-        colours.append(view.colour[55:65, 75:85].astype(float).mean(axis=(0, 1)))
-    assert np.abs(colours[0] - colours[1]).max() > 1.0
+    view, pose = glass_front(town)
+    pixels = np.argwhere(view.material == Material.GLASS)[:, ::-1]
+    points = view_points(view, LARGE, pose, pixels)
+    along = points - pose.centre
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    normal = town.mesh.normal[town.cast(np.broadcast_to(pose.centre, along.shape), along).triangle]
+    mirrored = along - 2 * np.sum(along * normal, axis=1, keepdims=True) * normal
+    meets_sky = ~town.cast(points + 1e-2 * mirrored, mirrored).met
+    brightness = view.colour[pixels[:, 1], pixels[:, 0]].mean(axis=1)
+    assert min(meets_sky.sum(), (~meets_sky).sum()) > 500
+    # By the law of reflection, computed here: the sky is brighter than the ground in shadow of the facade.
+    assert brightness[meets_sky].mean() > brightness[~meets_sky].mean() + 15
+
+
+def glass_front(town: Town) -> tuple[RenderedView, RigidTransform]:
+    """Return a view of a glass facade from a place in front of it with room around, level with its middle."""
+    mesh = town.mesh
+    for face in np.flatnonzero((mesh.material == Material.GLASS) & (mesh.style[:, 4] == 0.0)):
+        corners = mesh.vertices[mesh.triangles[mesh.face == face]].reshape(-1, 3).astype(float)
+        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        outward = np.cross(mesh.u_axis[face], mesh.v_axis[face])
+        pose = RigidTransform.look_at(middle + 11.0 * outward, middle)
+        view = render_view(town, LARGE, pose, samples=1)
+        if town.clearance(pose.centre[None]).min() > 2.0 and np.mean(view.material == Material.GLASS) > 0.5:
+            return view, pose
+    raise AssertionError("no glass facade with room before it")
 
 
 def test_more_samples_come_nearer_to_the_truth(town: Town) -> None:

@@ -30,7 +30,7 @@ BACKEND = "reference"
 
 
 def settings(**changes) -> TrainSettings:
-    return TrainSettings(**{"steps": 60, "backend": BACKEND, "grad_threshold": 2e-3, "eval_every": 20, **changes})
+    return TrainSettings(**{"steps": 60, "backend": BACKEND, "grad_threshold": 1e-2, "eval_every": 20, **changes})
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ def true_gaussians(count: int = 30, seed: int = 0) -> Gaussians:
 def make_scene(folder: Path, *, cameras: int = 9, points: int = 50, seed: int = 0) -> Scene:
     """Write photos of :func:`true_gaussians` as PNG and return the scene; frames 0 and 4 and 8 are for testing.
 
-    Its points are the centres of the Gaussians and noisy copies of them, in the right colours.
+    Its points are near the centres of the Gaussians, and grey: the colours are there to be learned.
     """
     truth = true_gaussians(seed=seed)
     camera = ColmapCamera.pinhole(WIDTH, HEIGHT, 38.0)
@@ -55,13 +55,10 @@ def make_scene(folder: Path, *, cameras: int = 9, points: int = 50, seed: int = 
     generator = np.random.default_rng(seed)
     chosen = generator.integers(0, len(truth), points)
     noise = 0.05 * generator.standard_normal((points, 3))
-    colours = (truth.sh[:, 0].numpy() * SH_C0 + 0.5).clip(0, 1)
     scene = Scene(
         image_dir=folder / "images",
         cameras={1: camera},
         frames=tuple(frames),
-        points=Points(
-            truth.means.numpy().astype(np.float64)[chosen] + noise, (255 * colours[chosen]).astype(np.uint8)
-        ),
+        points=Points(truth.means.numpy().astype(np.float64)[chosen] + noise, np.full((points, 3), 128, np.uint8)),
     )
     return scene.with_every_nth_as_test(4)

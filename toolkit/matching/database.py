@@ -1,6 +1,9 @@
 """COLMAP's database of keypoints and matches: made from a scene, copied, counted.
 
 Image numbers in it are the frame's place in the scene plus one, camera numbers those of the scene.
+
+COLMAP brings an SQLite of its own. Two SQLite libraries in one process break each other's file locks, up to a crash,
+so while COLMAP has a database open only :func:`watch` may look into it.
 """
 
 from __future__ import annotations
@@ -121,11 +124,17 @@ def match_counts(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
     return pairs, table[:, 1], table[:, 2]
 
 
-def count_rows(path: Path, table: str) -> int:
-    """Return how many rows ``table`` has: how far a stage that writes it has come."""
-    if table not in ("keypoints", "matches", "two_view_geometries"):
-        raise ValueError(f"no table '{table}' to count")
-    return int(_read(path, f"SELECT count(*) FROM {table}")[0][0])
+def settle(path: Path) -> None:
+    """Put what is in the write-ahead log into the database, so that it is one file that can be copied as such."""
+    with closing(_open(path, write=True)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+
+
+@contextmanager
+def watch(path: Path) -> Iterator[pycolmap.Database]:
+    """Yield a connection that can count what COLMAP writes meanwhile in another thread."""
+    with closing(pycolmap.Database.open(path)) as database:
+        yield database
 
 
 @contextmanager

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 import pycolmap
-from PIL import Image, UnidentifiedImageError
 
 from toolkit.errors import CapabilityError, DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import count_rows, create_database, keypoint_counts
+from toolkit.matching.database import create_database, keypoint_counts, settle, watch
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
+from toolkit.scene.pictures import check_picture, picture_size
 from toolkit.settings import Choice, Integer, Number, Settings
 
 #: With fewer features than this a picture cannot be placed: a pair alone needs 15 inliers.
@@ -39,7 +39,12 @@ _MODELS = (
 class SiftSettings(Settings):
     """SIFT features, and the camera model that structure from motion starts from."""
 
-    max_features = Integer(8192, bounds=(16, 65536), unit="features", doc="Most features kept per picture.")
+    max_features = Integer(
+        8192,
+        bounds=(16, 65536),
+        unit="features",
+        doc="Most keypoints kept per picture; one with two orientations makes two features.",
+    )
     max_image_side = Integer(
         1600, bounds=(64, 20000), unit="px", doc="Larger pictures are shrunk to this longer side before."
     )
@@ -153,18 +158,24 @@ def extract_sift(
             cancellation_token=token,
         )
 
-    def event() -> ProgressEvent:
-        return ProgressEvent("features", count_rows(database_path, "keypoints"), len(names))
+    waiting = set(range(1, len(names) + 1))
+    with watch(database_path) as database:
 
-    run_colmap(extract, event, progress)
+        def event() -> ProgressEvent:
+            waiting.difference_update([number for number in waiting if database.exists_keypoints(number)])
+            return ProgressEvent("features", len(names) - len(waiting), len(names))
+
+        run_colmap(extract, event, progress)
+    settle(database_path)
     counts = keypoint_counts(database_path)
     for frame in scene.frames:
         if counts[frame.name] is None:
+            # This names what is wrong with a damaged picture; a sound one has a damaged mask.
+            check_picture(scene.image_path(frame))
             raise DataError(
-                f"Cannot read the picture {scene.image_path(frame)} or its mask",
-                expected="a complete picture",
-                found=f"{scene.image_path(frame).stat().st_size} bytes that cannot be decoded",
-                todo="Replace it or take the frame out of the scene",
+                f"COLMAP could not use picture {scene.image_path(frame)}",
+                expected="a complete picture, and a complete mask where there is one",
+                todo="Write the mask again, or take the frame out of the scene",
             )
     return FeatureReport({name: count or 0 for name, count in counts.items()}, time.perf_counter() - start)
 
@@ -216,16 +227,10 @@ def _check_pictures(scene: Scene) -> None:
         raise DataError("The scene has no pictures", expected="at least 2 frames")
     for frame in scene.frames:
         path, camera = scene.image_path(frame), scene.camera_of(frame)
-        try:
-            with Image.open(path) as picture:
-                size = picture.size
-        except FileNotFoundError as error:
-            raise DataError(f"The picture {path} is missing", expected="a picture for every frame") from error
-        except (UnidentifiedImageError, OSError) as error:
-            raise DataError(f"Cannot read the picture {path}", expected="a picture", found=str(error)) from error
+        size = picture_size(path)
         if size != (camera.width, camera.height):
             raise DataError(
-                f"The picture {path} has another size than its camera",
+                f"Picture {path} has another size than its camera",
                 expected=f"{camera.width}x{camera.height}",
                 found=f"{size[0]}x{size[1]}",
                 todo="Give the frame a camera of its size",

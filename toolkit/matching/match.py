@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DataError, StageError
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import count_rows, keypoint_counts, match_counts, names_without_spaces
+from toolkit.matching.database import keypoint_counts, match_counts, names_without_spaces, settle, watch
 from toolkit.matching.pairs import ChosenPairs, connected_groups
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
@@ -140,7 +140,7 @@ def match_pairs(
             expected=f"its {len(names)} frames in their order",
             todo="Extract the features of this scene first",
         )
-    if count_rows(database_path, "matches") or count_rows(database_path, "two_view_geometries"):
+    if len(match_counts(database_path)[0]):
         raise StageError(
             f"{database_path} has matches already",
             expected="a database with features only",
@@ -148,14 +148,16 @@ def match_pairs(
         )
     matching, verification = _options(settings, seed)
 
-    def match(token: pycolmap.CancellationToken) -> None:
-        with (
-            names_without_spaces(database_path) as listed,
-            tempfile.TemporaryDirectory(dir=database_path.parent, prefix=".pairs.", suffix=".tmp") as folder,
-        ):
-            path = Path(folder) / "pairs.txt"
-            lines = (f"{listed[i]} {listed[j]}\n" for i, j in pairs.index.tolist())
-            path.write_text("".join(lines), encoding="utf-8")
+    with (
+        names_without_spaces(database_path) as listed,
+        tempfile.TemporaryDirectory(dir=database_path.parent, prefix=".pairs.", suffix=".tmp") as folder,
+        watch(database_path) as database,
+    ):
+        path = Path(folder) / "pairs.txt"
+        lines = (f"{listed[i]} {listed[j]}\n" for i, j in pairs.index.tolist())
+        path.write_text("".join(lines), encoding="utf-8")
+
+        def match(token: pycolmap.CancellationToken) -> None:
             pycolmap.match_image_pairs(
                 database_path,
                 matching_options=matching,
@@ -165,10 +167,11 @@ def match_pairs(
                 cancellation_token=token,
             )
 
-    def event() -> ProgressEvent:
-        return ProgressEvent("match", count_rows(database_path, "two_view_geometries"), len(pairs))
+        def event() -> ProgressEvent:
+            return ProgressEvent("match", database.num_matched_image_pairs(), len(pairs))
 
-    run_colmap(match, event, progress)
+        run_colmap(match, event, progress)
+    settle(database_path)
     return MatchReport(names, *match_counts(database_path), seconds=time.perf_counter() - start)
 
 

@@ -57,6 +57,4 @@ def cached_stage(
     )
     if output.reused:
         context.progress(ProgressEvent(name, 1, 1, "reused from an earlier run"))
-    return CachedStage(
-        output, read_json(output.folder / _REPORT), StageTime(name, output.seconds, output.reused)
-    )
+    return CachedStage(output, read_json(output.folder / _REPORT), StageTime(name, output.seconds, output.reused))

@@ -11,6 +11,7 @@ from toolkit.matching.database import copy_database
 from toolkit.matching.features import SiftSettings, extract_sift
 from toolkit.matching.match import MatchSettings, match_pairs
 from toolkit.matching.pairs import PairSettings, choose_pairs
+from toolkit.metrics.lpips import Lpips
 from toolkit.poses import sfm as sfm_module
 from toolkit.poses import undistort as undistort_module
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
@@ -41,12 +42,12 @@ class Colmap3dgsSettings(Settings):
 
 def run(data: RecipeInput, settings: Colmap3dgsSettings, context: RecipeContext) -> RecipeResult:
     """Find poses from the pictures alone by incremental structure from motion, then train a splat on them."""
+    lpips = Lpips()
     sparse = structure_from_motion(data, settings, context)
     scene = read_scene(sparse[-1].folder / _SCENE)
     flat = _undistorted(scene, sparse[-1], context)
     flat_scene = read_scene(flat.folder / _SCENE)
 
-    start = time.perf_counter()
     trained = train_splats(
         flat_scene,
         settings.train,
@@ -61,6 +62,7 @@ def run(data: RecipeInput, settings: Colmap3dgsSettings, context: RecipeContext)
         render_test_views(trained.gaussians, flat_scene, settings.train, device=context.device),
         len(flat_scene.of_split("test")),
         context.artifacts,
+        lpips,
         context.progress,
     )
     pose_metrics, pose_report = measure_poses(scene, data.reference)
@@ -112,9 +114,7 @@ def structure_from_motion(
     def matches_into(folder: Path) -> dict[str, Any]:
         copy_database(features.folder / _DATABASE, folder / _DATABASE)
         pairs = choose_pairs(scene, settings.pairs)
-        report = match_pairs(
-            folder / _DATABASE, scene, pairs, settings.match, seed=seed, progress=progress
-        )
+        report = match_pairs(folder / _DATABASE, scene, pairs, settings.match, seed=seed, progress=progress)
         return report.to_dict()
 
     matches = cached_stage(
@@ -170,9 +170,9 @@ RECIPE = Recipe(
     title="COLMAP + 3DGS",
     paper="a-3dgs",
     description=(
-        "SIFT features, matches between exhaustive, sequential or spatial pairs, incremental structure from motion, "
-        "undistorted photos, 3D Gaussian splatting. Needs overlapping photos and nothing else; spatial pairs also "
-        "need positions (GPS in EXIF, or priors in scene.json)."
+        "SIFT features, matches between exhaustive, sequential or spatial pairs, incremental structure from "
+        "motion, undistorted photos, 3D Gaussian splatting. Needs overlapping photos and nothing else; "
+        "spatial pairs also need positions (GPS in EXIF, or priors in scene.json)."
     ),
     settings_type=Colmap3dgsSettings,
     run=run,

@@ -22,7 +22,7 @@ from toolkit.splat.evaluate import RenderedView
 
 
 def measure_test_renders(
-    renders: Iterable[RenderedView], count: int, artifacts: Path, progress: Progress
+    renders: Iterable[RenderedView], count: int, artifacts: Path, lpips: Lpips, progress: Progress
 ) -> tuple[tuple[TestView, ...], dict[str, float | None], dict[str, Any]]:
     """Write each test photo beside its render and measure PSNR, SSIM and, where there are weights, LPIPS.
 
@@ -34,13 +34,14 @@ def measure_test_renders(
         How many there are.
     artifacts:
         Folder below which ``test/`` is filled with PNG pictures.
+    lpips:
+        Made before the training, so that a damaged weights file is told before hours are spent.
 
     Returns
     -------
     views, metrics, report:
         One entry a test frame; their means as ``test.<measure>``; a remark where LPIPS is not available.
     """
-    lpips = Lpips()
     views: list[TestView] = []
     for number, render in enumerate(track(renders, "measure", progress, count)):
         photo, drawn = f"test/{number:04d}_photo.png", f"test/{number:04d}_render.png"

@@ -21,8 +21,10 @@ from toolkit.runs.lines import LineFile
 from toolkit.runs.process import ProcessMark
 from toolkit.runs.status import RunStatus, State, utc_now, write_status
 
-#: Seconds between two writings of the status, and between two heartbeats while no event comes.
+#: Seconds between two writings of the status, in the same stage and where a new one began, and between two
+#: heartbeats while no event comes.
 STATUS_EVERY = 1.0
+NEW_STAGE_AFTER = 0.1
 HEARTBEAT_EVERY = 10.0
 #: Bytes set aside while a run works and given back when it ends, so that a full disk still takes the reason.
 RESERVE = 64 * 1024
@@ -54,7 +56,8 @@ class Journal:
                 self._status, stage=event.stage, done=event.done, total=event.total, message=event.message
             )
             self._follow_stage(event)
-            if time.monotonic() - self._written >= STATUS_EVERY:
+            wait = STATUS_EVERY if event.stage == self._written_stage else NEW_STAGE_AFTER
+            if time.monotonic() - self._written >= wait:
                 self._write_status()
 
     def log(self, text: str) -> None:
@@ -90,7 +93,7 @@ class Journal:
     def _write_status(self) -> None:
         self._status = replace(self._status, heartbeat=utc_now())
         write_status(self._run.status_file, self._status)
-        self._written = time.monotonic()
+        self._written, self._written_stage = time.monotonic(), self._status.stage
 
     def _beat(self) -> None:
         """Keep the heartbeat young through stages that say nothing for minutes."""

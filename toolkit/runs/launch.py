@@ -32,6 +32,7 @@ def create_run(
     seed: int = 0,
     device: str = "cpu",
     name: str = "",
+    progress: Progress = silent,
 ) -> RunFolder:
     """Return a new queued run; nothing is computed yet but the fingerprint of the data.
 
@@ -49,6 +50,8 @@ def create_run(
         ``"cpu"`` or ``"cuda"``.
     name:
         What the user calls it; may be empty.
+    progress:
+        Told of every picture that is checked and hashed.
 
     Raises
     ------
@@ -73,14 +76,14 @@ def create_run(
         raise SettingsError("Seed is out of range", expected="a whole number from 0", found=str(seed))
     _check_device(device)
     run_id = new_id(recipe.name)
-    capture = open_capture(data_folder)
+    capture = open_capture(data_folder, progress=progress)
     record = RunRecord(
         recipe=recipe.name,
         settings=settings.to_dict(),
         seed=seed,
         device=device,
         data=str(data_folder.resolve()),
-        data_fingerprint=capture_fingerprint(capture.scene),
+        data_fingerprint=capture_fingerprint(capture.scene, progress=progress),
         name=name,
         created=utc_now(),
         code=describe_code(),
@@ -131,14 +134,15 @@ def _work(run: RunFolder, progress: Progress, recipe: Recipe | None, *, allowed:
             if before.state != "queued":
                 book.log(f"resumed; it was {before.state} in stage '{before.stage}' at {before.done}")
             _log_changes(book, record)
-            capture = _open_same(run, record, book)
+            tell = fan_out([book, progress])
+            capture = _open_same(run, record, book, tell)
             context = RecipeContext(
                 workspace=Workspace(run.path.parent / WORKSPACE),
                 artifacts=run.artifacts,
                 checkpoint=run.checkpoint,
                 seed=record.seed,
                 device=record.device,
-                progress=fan_out([book, progress]),
+                progress=tell,
             )
             data = RecipeInput(capture.scene, capture.reference, record.data_fingerprint)
             result = chosen.run(data, settings, context)
@@ -211,12 +215,13 @@ def _check_device(device: str) -> None:
             )
 
 
-def _open_same(run: RunFolder, record: RunRecord, book: Journal) -> Capture:
+def _open_same(run: RunFolder, record: RunRecord, book: Journal, progress: Progress) -> Capture:
     """Return the capture, which must be the one that the run was made for."""
-    capture = open_capture(Path(record.data))
+    # Its pictures were decoded when the run was created; the same fingerprint means the same pictures.
+    capture = open_capture(Path(record.data), check=False)
     for warning in capture.warnings:
         book.log(f"warning: {warning}")
-    now = capture_fingerprint(capture.scene)
+    now = capture_fingerprint(capture.scene, progress=progress)
     if now != record.data_fingerprint:
         raise RunError(
             f"The data of run {run.id} changed since it was created",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from toolkit.errors import DataError
-from toolkit.files import atomic_path, read_json, write_json
+from toolkit.files import read_json, write_json
 from toolkit.recipes.base import RecipeResult, StageTime, TestView
 from toolkit.runs.trajectories import trajectory_table
 
@@ -46,8 +46,8 @@ def write_result(result: RecipeResult, reference: Scene | None, artifacts: Path)
     ------
     RunError
         When the disk is full or may not be written.
-    DataError
-        Where a report holds something that JSON cannot.
+    ToolkitError
+        Where scene, splat or a report holds something that cannot be stored.
     """
     from toolkit.scene.folder import write_scene
 
@@ -56,8 +56,7 @@ def write_result(result: RecipeResult, reference: Scene | None, artifacts: Path)
     if result.gaussians is not None:
         from toolkit.splat.ply import write_splats
 
-        with atomic_path(artifacts / SPLAT) as temporary:
-            write_splats(temporary, result.gaussians)
+        write_splats(result.gaussians, artifacts / SPLAT)
     not_finite: list[str] = []
     write_json(artifacts / RESULT, plain(result.to_dict(), not_finite))
     return not_finite

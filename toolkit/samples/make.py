@@ -99,9 +99,9 @@ def read_depth(folder: Path, frame: Frame) -> NDArray[np.float32]:
     """
     path = depth_path(folder, frame)
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as stored:
             depth: NDArray[np.float32] = stored["depth"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(
             f"Cannot read the depth map {path}", expected="an array 'depth'", found=str(error)
         ) from error

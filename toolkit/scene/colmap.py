@@ -10,15 +10,15 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from toolkit.errors import CapabilityError, DataError
+from toolkit.errors import CapabilityError, DataError, RunError
 from toolkit.files import disk_errors
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.scene.colmap_files import read_model
-from toolkit.scene.colmap_model import Model, ModelImage, ModelPoints, check_model
+from toolkit.scene.colmap_model import Model, ModelImage, ModelPoints, check_model, check_name
 from toolkit.scene.scene import Frame, Points, Scene, Tracks
 
-MODEL_FILES = tuple(
+_MODEL_FILES = tuple(
     f"{kind}{ending}" for ending in (".bin", ".txt") for kind in ("rigs", "cameras", "frames", "images", "points3D")
 )
 
@@ -35,7 +35,8 @@ def scene_to_pycolmap(scene: Scene) -> pycolmap.Reconstruction:
     CapabilityError
         Where a registered frame's camera is none of COLMAP's.
     DataError
-        Where a pose is no rigid motion or a camera's number does not fit into 32 bits.
+        Where a pose is no rigid motion, a name has control characters or is no Unicode, or a camera's number
+        does not fit into 32 bits.
     """
     made = pycolmap.Reconstruction()
     for camera_id in sorted({frame.camera_id for frame in scene.registered}):
@@ -47,6 +48,7 @@ def scene_to_pycolmap(scene: Scene) -> pycolmap.Reconstruction:
     for index, frame in enumerate(scene.frames):
         if frame.cam_from_world is None:
             continue
+        check_name(frame.name)
         rows = np.flatnonzero(seen.frame == index)
         keypoint[rows] = np.arange(len(rows))
         image = pycolmap.Image(
@@ -147,7 +149,7 @@ def scene_from_pycolmap(
     """
     model = _model_of(reconstruction)
     check_model(model, "the reconstruction")
-    return _scene_of(model, image_dir) if like is None else _scene_like(model, image_dir, like)
+    return _scene_of(model, image_dir) if like is None else scene_like(model, image_dir, like)
 
 
 def read_colmap(folder: Path, image_dir: Path) -> Scene:
@@ -172,37 +174,48 @@ def write_colmap(scene: Scene, folder: Path, binary: bool = True) -> None:
     Raises
     ------
     CapabilityError, DataError
-        As :func:`scene_to_pycolmap`, and for frame names that the format cannot hold.
+        As :func:`scene_to_pycolmap`.
     RunError
         When the disk is full or the folder may not be written.
     """
-    for frame in scene.registered:
-        check_name(frame.name)
-    made = scene_to_pycolmap(scene)
+    write_model(scene_to_pycolmap(scene), folder, binary)
+
+
+def write_model(reconstruction: pycolmap.Reconstruction, folder: Path, binary: bool = True) -> None:
+    """Write a reconstruction into ``folder`` in place of the model files that are there.
+
+    No half of a model is ever seen as a whole one.
+
+    Raises
+    ------
+    RunError
+        When the disk is full or the folder may not be written.
+    """
     with disk_errors(folder, "writing"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=".model.", suffix=".tmp") as temporary:
             if binary:
-                made.write_binary(temporary)
+                reconstruction.write_binary(temporary)
             else:
-                made.write_text(temporary)
-            for name in MODEL_FILES:
-                (folder / name).unlink(missing_ok=True)
+                reconstruction.write_text(temporary)
+            try:
+                read_model(Path(temporary))
+            except DataError as error:
+                # COLMAP's writers do not notice a full disk.
+                raise RunError(
+                    f"The model was not written to {folder}", found=str(error), todo="Is the disk full?"
+                ) from error
+            remove_model(folder)
             # The points come last: without them a half moved model is none.
-            for name in MODEL_FILES:
+            for name in _MODEL_FILES:
                 if (Path(temporary) / name).exists():
                     (Path(temporary) / name).replace(folder / name)
 
 
-def check_name(name: str) -> None:
-    """Refuse names of pictures that COLMAP's files and JSON cannot hold. Raises :class:`DataError`."""
-    # Python keeps the bytes of names that are not Unicode as surrogates.
-    if any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name):
-        raise DataError(
-            f"The picture's name {name!r} cannot be stored",
-            expected="a name without control characters, in Unicode",
-            todo="Rename the picture",
-        )
+def remove_model(folder: Path) -> None:
+    """Delete the model files in ``folder``, binary and text, where there are any."""
+    for name in reversed(_MODEL_FILES):
+        (folder / name).unlink(missing_ok=True)
 
 
 def _model_of(reconstruction: pycolmap.Reconstruction) -> Model:
@@ -240,7 +253,8 @@ def _scene_of(model: Model, image_dir: Path) -> Scene:
     return Scene(image_dir, dict(model.cameras), frames, points)
 
 
-def _scene_like(model: Model, image_dir: Path, like: Scene) -> Scene:
+def scene_like(model: Model, image_dir: Path, like: Scene) -> Scene:
+    """Return ``like`` with a model's poses, cameras and points, as :func:`scene_from_pycolmap` tells."""
     index = {frame.name: i for i, frame in enumerate(like.frames)}
     unknown = sorted(image.name for image in model.images.values() if image.name not in index)
     if unknown:
@@ -259,11 +273,19 @@ def _scene_like(model: Model, image_dir: Path, like: Scene) -> Scene:
         else dataclasses.replace(frame, cam_from_world=None)
         for frame in like.frames
     )
-    cameras = {**like.cameras, **{new: model.cameras[old] for old, new in numbers.items()}}
+    cameras = {**like.cameras, **{new: _refined(model.cameras[old], like, new) for old, new in numbers.items()}}
     replaced = {frame.camera_id for frame in like.frames} - {frame.camera_id for frame in frames}
     kept = {camera_id: camera for camera_id, camera in cameras.items() if camera_id not in replaced}
     points = _scene_points(model, {image_id: index[image.name] for image_id, image in model.images.items()})
     return like.replace(image_dir=image_dir, cameras=kept, frames=frames, points=points)
+
+
+def _refined(camera: ColmapCamera, like: Scene, camera_id: int) -> ColmapCamera:
+    """Return a model's camera, remembering what its files forget: that the focal length was measured."""
+    known = like.cameras.get(camera_id)
+    if isinstance(known, ColmapCamera) and known.prior_focal_length:
+        return dataclasses.replace(camera, prior_focal_length=True)
+    return camera
 
 
 def _camera_numbers(posed: dict[str, ModelImage], like: Scene) -> dict[int, int]:

@@ -51,6 +51,11 @@ def model_folder(folder: Path) -> Path:
     )
 
 
+def has_model(folder: Path) -> bool:
+    """Return whether ``folder`` itself holds the files of a model."""
+    return _ending(folder) is not None
+
+
 def _ending(folder: Path) -> str | None:
     for ending in (".bin", ".txt"):
         if all((folder / f"{kind}{ending}").is_file() for kind in _KINDS):

@@ -124,6 +124,17 @@ def checked_pose(pose: Sequence[float], where: str) -> RigidTransform:
     return RigidTransform.from_quaternion(values[:4], values[4:])
 
 
+def check_name(name: str) -> None:
+    """Refuse names of pictures that COLMAP's files and JSON cannot hold. Raises :class:`DataError`."""
+    # Python keeps the bytes of names that are not Unicode as surrogates.
+    if any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name):
+        raise DataError(
+            f"The picture's name {name!r} cannot be stored",
+            expected="a name without control characters, in Unicode",
+            todo="Rename the picture",
+        )
+
+
 def check_model(model: Model, place: Path | str) -> None:
     """Refuse a model that contradicts itself; ``place`` is named in the message.
 

@@ -14,7 +14,7 @@ import pycolmap
 from toolkit.errors import DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import Progress, silent, track
-from toolkit.scene.colmap import check_name
+from toolkit.scene.colmap_model import check_name
 from toolkit.scene.exif import PhotoTags, read_tags
 from toolkit.scene.pictures import check_picture, open_picture
 from toolkit.scene.scene import Frame, Georeference, PosePrior, Scene
@@ -152,6 +152,8 @@ def _cameras(photos: Sequence[_Photo], model: str, share: bool) -> tuple[dict[in
         if kind not in numbers:
             numbers[kind] = len(numbers) + 1
             camera = pycolmap.Camera.create_from_model_name(numbers[kind], model, focal, photo.width, photo.height)
+            # COLMAP trusts the focal length from the start where it was measured.
+            camera.has_prior_focal_length = photo.tags.focal is not None
             cameras[numbers[kind]] = ColmapCamera.from_pycolmap(camera)
         camera_ids[photo.name] = numbers[kind]
     return cameras, camera_ids

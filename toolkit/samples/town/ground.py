@@ -10,9 +10,9 @@ from toolkit.samples.town.noise import F32, inside, linear, mix, pulse
 from toolkit.samples.town.surface import Look, Patch
 
 _ASPHALT, _PAVEMENT, _KERB, _MARKING = linear("66656a"), linear("a49c90"), linear("b9b5ab"), linear("dedcd2")
-_YARDS = np.stack([linear(c) for c in ("6f8745", "76603f", "a58f7c", "aaa294")])
-_FIELDS = np.stack([linear(c) for c in ("7f9148", "b3a05c", "8d7350", "9aa553", "64803f", "c2ae6e")])
-_GRASS, _TRACK = linear("71873f"), linear("a3906c")
+_YARDS = np.stack([linear(c) for c in ("63783f", "76603f", "a58f7c", "aaa294")])
+_FIELDS = np.stack([linear(c) for c in ("778845", "ab9a5e", "8d7350", "8c974f", "617a40", "b5a36c")])
+_GRASS, _TRACK = linear("687b40"), linear("a3906c")
 
 
 def ground(town: Town, patch: Patch) -> Look:

@@ -50,8 +50,8 @@ def render_view(town: Town, camera: Camera, cam_from_world: RigidTransform, *, s
     """Return what ``camera`` sees of ``town``.
 
     Every pixel's centre is cast. Pixels on an outline or on the edge of a shadow, on a surface seen at a grazing
-    angle or crossed by a thin strut get ``samples`` rays spread over the pixel; inside surfaces the texture is
-    filtered to the pixel's footprint instead.
+    angle, on glass or crossed by a thin strut get ``samples`` rays spread over the pixel; inside surfaces the
+    texture is filtered to the pixel's footprint instead.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def render_view(town: Town, camera: Camera, cam_from_world: RigidTransform, *, s
     several = np.zeros(height * width, bool)
     if samples > 1:
         several = _edges(town, centre, height, width) | _thin(town, camera, cam_from_world)
-        several |= centre.slant > _SLANT
+        several |= (centre.slant > _SLANT) | _glass(town, centre.hits)
     once = np.flatnonzero(~several)
     light[once] = _light(town, centre.rows(once), 1)
     again = np.flatnonzero(several)
@@ -194,6 +194,11 @@ def _edges(town: Town, rays: _Traced, height: int, width: int) -> Mask:
         edge[here] |= differs
         edge[there] |= differs
     return edge.ravel()
+
+
+def _glass(town: Town, hits: Hits) -> Mask:
+    """Return (N,) which rays met glass: there are outlines in what it reflects."""
+    return hits.met & (town.mesh.material[town.mesh.face[hits.triangle]] == Material.GLASS)
 
 
 def _thin(town: Town, camera: Camera, cam_from_world: RigidTransform) -> Mask:

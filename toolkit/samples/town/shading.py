@@ -191,12 +191,13 @@ def _reflect(
         start = point[rows] + _LIFT * normal[rows]
         beyond = town.cast(start, away)
         lit = np.zeros(len(rows), bool)
+        size = footprint[rows].copy()
         met = np.flatnonzero(beyond.met)
         found = Hits(beyond.distance[met], beyond.triangle[met])
-        ends = start[met] + found.distance[:, None] * away[met]
-        lit[met] = sunlit(town, ends, facing(town, found, away[met]))
-        far = np.where(beyond.met, beyond.distance, 0.0)
-        size = (footprint[rows] * (1.0 + far / distance[rows])).astype(np.float32)
+        front = facing(town, found, away[met])
+        lit[met] = sunlit(town, start[met] + found.distance[:, None] * away[met], front)
+        steep = np.clip(-np.einsum("ij,ij->i", front, away[met]), 0.05, 1.0)
+        size[met] *= (1.0 + found.distance / distance[rows[met]]) / np.sqrt(steep)
         seen = shade(town, beyond, start, away, size, lit, reflections=False)
     else:
         seen = sky(town, away)

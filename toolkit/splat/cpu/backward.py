@@ -19,12 +19,10 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from toolkit.splat.cpu.footprint import MOST_RUNS, PIXELS, STRIDE, list_runs
+from toolkit.splat.cpu.footprint import FIRST_RUN, MOST_RUNS, PIXELS, STRIDE, list_runs
 from toolkit.splat.cpu.forward import clear_transmittance, scattered
 from toolkit.splat.cpu.projection import HALF_LOG2_E_ROOT, LOG2_ALPHA_MIN
 from toolkit.splat.cpu.simd import (
-    LANES,
-    count,
     exp2,
     fma,
     fnma,
@@ -35,6 +33,7 @@ from toolkit.splat.cpu.simd import (
     some,
     splat,
     store,
+    store_row,
     sums,
     total,
 )
@@ -109,7 +108,6 @@ def _blend_tile_backward(
         np.empty(MOST_RUNS, dtype=np.float32),
         np.empty(MOST_RUNS, dtype=np.float32),
     )
-    rows, counts = np.empty((3, LANES), dtype=np.float32), np.empty((2, LANES), dtype=np.int32)
     transmittance, rests = np.empty(PIXELS, dtype=np.float32), np.zeros(PIXELS, dtype=np.float32)
     reds, greens, blues, depths = (
         np.zeros(PIXELS, dtype=np.float32),
@@ -120,14 +118,14 @@ def _blend_tile_backward(
     clear_transmittance(transmittance, min(TILE_WIDTH, width - left), min(TILE_HEIGHT, height - top))
     _load_pixels(left, top, images, gradients, (rests, reds, greens, blues, depths), background_gradient)
     for entry in range(len(entries)):
-        record = records[entries[entry, 0]]
-        found = list_runs(record, left, top, places, us, vs, limits, rows, counts)
-        across = lanes() * record[FACTOR_XX]
-        red, green, blue, z = splat(record[RED]), splat(record[GREEN]), splat(record[BLUE]), splat(record[DEPTH])
+        rank = np.uint64(entries[entry, 0])
+        end = list_runs(records, rank, left, top, places, us, vs, limits)
+        across = lanes() * records[rank, FACTOR_XX]
+        red, green, blue, z = splat(records[rank, RED]), splat(records[rank, GREEN]), splat(records[rank, BLUE]), splat(records[rank, DEPTH])
         zero, one = splat(0.0), splat(1.0)
         d_red, d_green, d_blue, d_depth = zero, zero, zero, zero
         g_sum, g_u, g_v, g_uu, g_uv, g_vv = zero, zero, zero, zero, zero, zero
-        for k in range(found):
+        for k in range(np.uint64(FIRST_RUN), end):
             place = places[k]
             before = load(transmittance, place)
             u = across + us[k]
@@ -162,9 +160,9 @@ def _blend_tile_backward(
             if some(finished):
                 after = select(finished, zero - before, after)
             store(transmittance, place, after)
-        slot = entries[entry, 1] * SLOT
-        store(slots, slot, sums(d_red, d_green, d_blue, d_depth, g_sum, g_u, g_v, g_uu))
-        slots[slot + 8], slots[slot + 9] = total(g_uv), total(g_vv)
+        slot = np.uint64(entries[entry, 1])
+        store_row(slots, slot, sums(d_red, d_green, d_blue, d_depth, g_sum, g_u, g_v, g_uu))
+        slots[slot, np.uint64(8)], slots[slot, np.uint64(9)] = total(g_uv), total(g_vv)
 
 
 @njit(error_model="numpy", cache=True, parallel=True)
@@ -188,41 +186,55 @@ def _blend_backward(
         own = entries[start : start + used[tile]]
         _blend_tile_backward(left, top, records, own, images, gradients, slots, background_gradients[tile])
         for entry in range(start + used[tile], end):
-            slot = entries[entry, 1] * SLOT
-            slots[slot : slot + SLOT] = np.float32(0)
+            for k in range(SLOT):
+                slots[entries[entry, 1], k] = np.float32(0)
 
 
 @njit(error_model="numpy", cache=True)
 def _add_slots(
-    rank: int, first_slots: Array, slots: Array, record: Array, opacity: float, mean2d: Array, splat_gradient: Array
+    rank: int,
+    i: int,
+    first_slots: Array,
+    slots: Array,
+    records: Array,
+    splats: Array,
+    by_means2d: Array,
+    by_splats: Array,
 ) -> None:
-    """Add up one Gaussian's slots and turn them into gradients by its footprint."""
-    sums_of = np.zeros(SLOT, dtype=np.float32)
-    for slot in range(first_slots[rank], first_slots[rank + 1]):
-        for k in range(SLOT):
-            sums_of[k] += slots[slot * SLOT + k]
-    xx, yx, yy = record[FACTOR_XX], record[FACTOR_YX], record[FACTOR_YY]
+    """Add up the slots of Gaussian i, at its rank, and turn them into gradients by its footprint."""
+    red, green, blue, depth = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+    g, u, v = np.float32(0), np.float32(0), np.float32(0)
+    uu, uv, vv = np.float32(0), np.float32(0), np.float32(0)
+    for slot in range(np.uint64(first_slots[rank]), np.uint64(first_slots[rank + 1])):
+        red, green, blue = red + slots[slot, 0], green + slots[slot, 1], blue + slots[slot, 2]
+        depth, g = depth + slots[slot, 3], g + slots[slot, 4]
+        u, v = u + slots[slot, 5], v + slots[slot, 6]
+        uu, uv, vv = uu + slots[slot, 7], uv + slots[slot, 8], vv + slots[slot, 9]
+    xx, yx, yy = records[rank, FACTOR_XX], records[rank, FACTOR_YX], records[rank, FACTOR_YY]
     # The factors are scaled for powers of two; this scales back.
     unit = np.float32(1 / HALF_LOG2_E_ROOT**2)
-    g, u, v, uu, uv, vv = sums_of[4], sums_of[5], sums_of[6], sums_of[7], sums_of[8], sums_of[9]
-    mean2d[0] = unit * xx * u
-    mean2d[1] = unit * (yx * u + yy * v)
     half = np.float32(0.5) * unit * unit
-    splat_gradient[0] = half * xx * xx * uu
-    splat_gradient[1] = np.float32(2) * half * xx * (yx * uu + yy * uv)
-    splat_gradient[2] = half * (yx * yx * uu + np.float32(2) * yx * yy * uv + yy * yy * vv)
-    splat_gradient[3] = g / opacity
-    splat_gradient[4] = sums_of[3]
-    splat_gradient[5], splat_gradient[6], splat_gradient[7] = sums_of[0], sums_of[1], sums_of[2]
+    by_means2d[i, 0] = unit * xx * u
+    by_means2d[i, 1] = unit * (yx * u + yy * v)
+    by_splats[i, 0] = half * xx * xx * uu
+    by_splats[i, 1] = np.float32(2) * half * xx * (yx * uu + yy * uv)
+    by_splats[i, 2] = half * (yx * yx * uu + np.float32(2) * yx * yy * uv + yy * yy * vv)
+    by_splats[i, 3] = g / splats[i, 3]
+    by_splats[i, 4], by_splats[i, 5], by_splats[i, 6], by_splats[i, 7] = depth, red, green, blue
 
 
 @njit(error_model="numpy", cache=True, parallel=True)
 def _add_all_slots(
-    order: Array, first_slots: Array, slots: Array, records: Array, splats: Array, means2d: Array, gradients: Array
+    order: Array,
+    first_slots: Array,
+    slots: Array,
+    records: Array,
+    splats: Array,
+    by_means2d: Array,
+    by_splats: Array,
 ) -> None:
     for rank in prange(len(order)):
-        i = order[rank]
-        _add_slots(rank, first_slots, slots, records[rank], splats[i, 3], means2d[i], gradients[i])
+        _add_slots(rank, np.uint64(order[rank]), first_slots, slots, records, splats, by_means2d, by_splats)
 
 
 def blend_backward(
@@ -252,7 +264,7 @@ def blend_backward(
     Array
         (3,) gradient by the background.
     """
-    slots = np.empty(len(lists.entries) * SLOT, dtype=np.float32)
+    slots = np.empty((len(lists.entries), SLOT), dtype=np.float32)
     background = np.zeros((len(used), 3), dtype=np.float32)
     _blend_backward(
         lists.starts, lists.entries, used, lists.records, lists.columns, images, gradients, slots, background

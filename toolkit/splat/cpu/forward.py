@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from toolkit.splat.cpu.footprint import MOST_RUNS, PIXELS, STRIDE, list_runs
+from toolkit.splat.cpu.footprint import FIRST_RUN, MOST_RUNS, PIXELS, STRIDE, list_runs
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
 from toolkit.splat.cpu.simd import (
-    LANES,
-    count,
+    bits,
     exp2,
     fma,
     fnma,
     lanes,
     load,
+    ones,
     select,
     smaller,
     some,
@@ -73,7 +73,6 @@ def _blend_tile(
         np.empty(MOST_RUNS, dtype=np.float32),
         np.empty(MOST_RUNS, dtype=np.float32),
     )
-    rows, counts = np.empty((3, LANES), dtype=np.float32), np.empty((2, LANES), dtype=np.int32)
     transmittance = np.empty(PIXELS, dtype=np.float32)
     reds, greens, blues = (
         np.zeros(PIXELS, dtype=np.float32),
@@ -84,11 +83,11 @@ def _blend_tile(
     unfinished = clear_transmittance(transmittance, tile_width, tile_height)
     used = len(entries)
     for entry in range(len(entries)):
-        record = records[entries[entry, 0]]
-        found = list_runs(record, left, top, places, us, vs, limits, rows, counts)
-        across = lanes() * record[FACTOR_XX]
-        red, green, blue, z = splat(record[RED]), splat(record[GREEN]), splat(record[BLUE]), splat(record[DEPTH])
-        for k in range(found):
+        rank = np.uint64(entries[entry, 0])
+        end = list_runs(records, rank, left, top, places, us, vs, limits)
+        across = lanes() * records[rank, FACTOR_XX]
+        red, green, blue, z = splat(records[rank, RED]), splat(records[rank, GREEN]), splat(records[rank, BLUE]), splat(records[rank, DEPTH])
+        for k in range(np.uint64(FIRST_RUN), end):
             place = places[k]
             before = load(transmittance, place)
             u = across + us[k]
@@ -109,7 +108,7 @@ def _blend_tile(
             after = select(drawn, after, before)
             if some(finished):
                 after = select(finished, splat(0.0) - before, after)
-                unfinished -= count(finished)
+                unfinished -= np.int64(ones(bits(finished)))
             store(transmittance, place, after)
         if unfinished == 0:
             used = entry + 1

@@ -121,3 +121,242 @@ def _colour_backward(
         weight = fma(green, gather(sh, i, column + 1, last), weight)
         store(weights, k * LANES, fma(blue, gather(sh, i, column + 2, last), weight))
     return direction_gradient(degree, direction[0], direction[1], direction[2], weights)
+
+
+@njit(error_model="numpy", cache=True)
+def _geometry_backward(
+    i: int,
+    camera: Array,
+    means: Array,
+    axes: tuple[F8, ...],
+    drawn: Any,
+    by_mean2d: Array,
+    by_splat: Array,
+    camera_sums: Array,
+) -> tuple[F8, ...]:
+    """Return dL/d(R S) (9) and dL/dmean (3) of eight Gaussians in one view, not counting their colours.
+
+    Lanes that are not ``drawn`` hold rubbish. ``camera_sums`` collects the gradients by the camera of those that are.
+    """
+    last, zero = len(means) - 1, splat(0.0)
+    world = gather(means, i, 0, last), gather(means, i, 1, last), gather(means, i, 2, last)
+    x, y, z = to_camera(camera, world[0], world[1], world[2])
+    inverse_z = 1.0 / select(drawn, z, splat(1.0))
+    slope_x, slope_y = slopes(camera, x, y, inverse_z)
+    plane = plane_rows(camera, slope_x, slope_y, inverse_z)
+    m = spread_rows(plane, axes)
+    d_m = _spread_gradient(m, gather(by_splat, i, 0, last), gather(by_splat, i, 1, last), gather(by_splat, i, 2, last))
+    d_axes = _axes_gradient(plane, d_m)
+    d = _plane_gradient(d_m, axes)
+
+    # J R_cam has rows (fx / z) (R_0 - slope_x R_2) and (fy / z) (R_1 - slope_y R_2).
+    scale_x, scale_y = camera[15] * inverse_z, camera[16] * inverse_z
+    d_slope_x = (zero - scale_x) * (d[0] * camera[6] + d[1] * camera[7] + d[2] * camera[8])
+    d_slope_y = (zero - scale_y) * (d[3] * camera[6] + d[4] * camera[7] + d[5] * camera[8])
+    scaling = d[0] * plane[0] + d[1] * plane[1] + d[2] * plane[2] + d[3] * plane[3] + d[4] * plane[4] + d[5] * plane[5]
+    # Where the slope is held at its limit it does not depend on the position.
+    ratio_x, ratio_y = x * inverse_z, y * inverse_z
+    d_ratio_x = select((ratio_x >= camera[19]) & (ratio_x <= camera[20]), d_slope_x, zero)
+    d_ratio_y = select((ratio_y >= camera[21]) & (ratio_y <= camera[22]), d_slope_y, zero)
+    d_ratio_x = d_ratio_x + camera[15] * gather(by_mean2d, i, 0, last)
+    d_ratio_y = d_ratio_y + camera[16] * gather(by_mean2d, i, 1, last)
+    dx, dy = d_ratio_x * inverse_z, d_ratio_y * inverse_z
+    dz = gather(by_splat, i, 4, last) - (scaling + d_ratio_x * ratio_x + d_ratio_y * ratio_y) * inverse_z
+
+    mine = drawn & (lanes() < len(means) - i)
+    by_point = select(mine, dx, zero), select(mine, dy, zero), select(mine, dz, zero)
+    slope = slope_x, slope_y
+    for j in range(3):
+        d_row_x, d_row_y = select(mine, scale_x * d[j], zero), select(mine, scale_y * d[3 + j], zero)
+        _accumulate(camera_sums, j, d_row_x + by_point[0] * world[j])
+        _accumulate(camera_sums, 3 + j, d_row_y + by_point[1] * world[j])
+        _accumulate(camera_sums, 6 + j, by_point[2] * world[j] - slope[0] * d_row_x - slope[1] * d_row_y)
+        _accumulate(camera_sums, 9 + j, by_point[j])
+    return d_axes + (  # noqa: RUF005 (numba knows no unpacking here)
+        camera[0] * dx + camera[3] * dy + camera[6] * dz,
+        camera[1] * dx + camera[4] * dy + camera[7] * dz,
+        camera[2] * dx + camera[5] * dy + camera[8] * dz,
+    )
+
+
+@njit(error_model="numpy", cache=True)
+def _shade_backward(
+    i: int,
+    camera: Array,
+    degree: int,
+    first: bool,
+    means: Array,
+    sh: Array,
+    drawn: Any,
+    by_splat: Array,
+    splats: Array,
+    sh_gradient: Array,
+    scratch: Array,
+    camera_sums: Array,
+) -> tuple[F8, F8, F8]:
+    """Return dL/dmean (3) through the viewing direction; write (``first``) or add that by the coefficients."""
+    last, zero = len(means) - 1, splat(0.0)
+    x, y, z, inverse = unit_direction(
+        camera, gather(means, i, 0, last), gather(means, i, 1, last), gather(means, i, 2, last)
+    )
+    colour = (
+        select(drawn & (gather(splats, i, 5, last) > 0.0), gather(by_splat, i, 5, last), zero),
+        select(drawn & (gather(splats, i, 6, last) > 0.0), gather(by_splat, i, 6, last), zero),
+        select(drawn & (gather(splats, i, 7, last) > 0.0), gather(by_splat, i, 7, last), zero),
+    )
+    gx, gy, gz = _colour_backward(i, degree, first, (x, y, z), colour, sh, sh_gradient, scratch[0], scratch[1])
+    # The direction has length one: only what is across it matters.
+    along = x * gx + y * gy + z * gz
+    by_mean = (gx - x * along) * inverse, (gy - y * along) * inverse, (gz - z * along) * inverse
+    mine = drawn & (lanes() < len(means) - i)
+    for j in range(3):
+        _accumulate(camera_sums, 12 + j, select(mine, zero - by_mean[j], zero))
+    return by_mean
+
+
+@njit(error_model="numpy", cache=True)
+def _project_eight_backward(
+    i: int,
+    cameras: Array,
+    degree: int,
+    parameters: tuple[Array, Array, Array, Array, Array],
+    projected: tuple[Array, Array],
+    by_projected: tuple[Array, Array],
+    gradients: tuple[Array, Array, Array, Array, Array],
+    scratch: Array,
+    camera_sums: Array,
+) -> None:
+    """Write the gradients by the parameters of Gaussians i to i + 7, all views added up."""
+    means, quaternions, log_scales, logits, sh = parameters
+    by_means, by_quaternions, by_log_scales, by_logits, by_sh = gradients
+    last, zero = len(means) - 1, splat(0.0)
+    w, x, y, z, inverse = unit_quaternion(quaternions, i, last)
+    s0, s1, s2 = (
+        exp(gather(log_scales, i, 0, last)),
+        exp(gather(log_scales, i, 1, last)),
+        exp(gather(log_scales, i, 2, last)),
+    )
+    axes = scaled_axes(w, x, y, z, s0, s1, s2)
+    d0, d1, d2, d3, d4, d5, d6, d7, d8 = zero, zero, zero, zero, zero, zero, zero, zero, zero
+    dx, dy, dz, d_opacity = zero, zero, zero, zero
+    first = True
+    for c in range(len(cameras)):
+        drawn = gather(projected[1][c], i, 0, last) > 0.0
+        if not some(drawn):
+            continue
+        by_splat = by_projected[1][c]
+        d = _geometry_backward(i, cameras[c], means, axes, drawn, by_projected[0][c], by_splat, camera_sums[c])
+        e = _shade_backward(
+            i, cameras[c], degree, first, means, sh, drawn, by_splat, projected[0][c], by_sh, scratch, camera_sums[c]
+        )
+        first = False
+        d0, d1, d2 = d0 + select(drawn, d[0], zero), d1 + select(drawn, d[1], zero), d2 + select(drawn, d[2], zero)
+        d3, d4, d5 = d3 + select(drawn, d[3], zero), d4 + select(drawn, d[4], zero), d5 + select(drawn, d[5], zero)
+        d6, d7, d8 = d6 + select(drawn, d[6], zero), d7 + select(drawn, d[7], zero), d8 + select(drawn, d[8], zero)
+        dx = dx + select(drawn, d[9] + e[0], zero)
+        dy = dy + select(drawn, d[10] + e[1], zero)
+        dz = dz + select(drawn, d[11] + e[2], zero)
+        d_opacity = d_opacity + select(drawn, gather(by_splat, i, 3, last), zero)
+    used = 0 if first else 3 * (degree + 1) * (degree + 1)
+    for k in range(used, sh.shape[1]):
+        scatter(by_sh, i, k, last, zero)
+    scatter(by_means, i, 0, last, dx)
+    scatter(by_means, i, 1, last, dy)
+    scatter(by_means, i, 2, last, dz)
+    # d(R S) / d(log scale) is the column itself; dL/dR is dL/d(R S) times the scale of the column.
+    scatter(by_log_scales, i, 0, last, d0 * axes[0] + d3 * axes[3] + d6 * axes[6])
+    scatter(by_log_scales, i, 1, last, d1 * axes[1] + d4 * axes[4] + d7 * axes[7])
+    scatter(by_log_scales, i, 2, last, d2 * axes[2] + d5 * axes[5] + d8 * axes[8])
+    turned = (d0 * s0, d1 * s1, d2 * s2, d3 * s0, d4 * s1, d5 * s2, d6 * s0, d7 * s1, d8 * s2)
+    by_w, by_x, by_y, by_z = _quaternion_gradient(w, x, y, z, inverse, turned)
+    scatter(by_quaternions, i, 0, last, by_w)
+    scatter(by_quaternions, i, 1, last, by_x)
+    scatter(by_quaternions, i, 2, last, by_y)
+    scatter(by_quaternions, i, 3, last, by_z)
+    opacity = 1.0 / (1.0 + exp(zero - gather(logits, i, 0, last)))
+    scatter(by_logits, i, 0, last, d_opacity * opacity * (1.0 - opacity))
+
+
+@njit(error_model="numpy", cache=True)
+def _project_group_backward(
+    group: int,
+    cameras: Array,
+    degree: int,
+    parameters: tuple[Array, Array, Array, Array, Array],
+    projected: tuple[Array, Array],
+    by_projected: tuple[Array, Array],
+    gradients: tuple[Array, Array, Array, Array, Array],
+    by_cameras: Array,
+) -> None:
+    """Differentiate one group of Gaussians; ``by_cameras`` (C, 15) gets the group's share."""
+    scratch = np.empty((2, 16 * LANES), dtype=np.float32)
+    camera_sums = np.zeros((len(cameras), CAMERA * LANES), dtype=np.float32)
+    for i in range(group * GROUP, min((group + 1) * GROUP, len(parameters[0])), LANES):
+        _project_eight_backward(
+            i, cameras, degree, parameters, projected, by_projected, gradients, scratch, camera_sums
+        )
+    for c in range(len(cameras)):
+        for k in range(CAMERA):
+            by_cameras[c, k] = total(load(camera_sums[c], k * LANES))
+
+
+@njit(error_model="numpy", cache=True, parallel=True)
+def _project_backward(
+    cameras: Array,
+    degree: int,
+    parameters: tuple[Array, Array, Array, Array, Array],
+    projected: tuple[Array, Array],
+    by_projected: tuple[Array, Array],
+    gradients: tuple[Array, Array, Array, Array, Array],
+    by_cameras: Array,
+) -> None:
+    for group in prange(len(by_cameras)):
+        _project_group_backward(
+            np.int64(group), cameras, degree, parameters, projected, by_projected, gradients, by_cameras[group]
+        )
+
+
+def project_backward(
+    cameras: Array,
+    degree: int,
+    parameters: tuple[Array, Array, Array, Array, Array],
+    projected: tuple[Array, Array],
+    by_projected: tuple[Array, Array],
+) -> tuple[tuple[Array, Array, Array, Array, Array], Array]:
+    """Differentiate :func:`toolkit.splat.cpu.projection.project`.
+
+    Parameters
+    ----------
+    cameras, degree:
+        (C, 23) and the degree of the spherical harmonics, as given to ``project``.
+    parameters:
+        Means, quaternions, log scales, logits and coefficients, as given to ``project``.
+    projected:
+        ``splats`` and ``radii``, as filled by ``project``.
+    by_projected:
+        Gradients by ``means2d`` and ``splats``.
+
+    Returns
+    -------
+    tuple
+        Gradients by the parameters, in their shapes, and by ``cam_from_world`` (C, 4, 4).
+    """
+    means, quaternions, log_scales, logits, sh = parameters
+    gradients = (
+        np.empty_like(means),
+        np.empty_like(quaternions),
+        np.empty_like(log_scales),
+        np.empty_like(logits),
+        np.empty_like(sh),
+    )
+    groups = (len(means) + GROUP - 1) // GROUP
+    shares = np.empty((groups, len(cameras), CAMERA), dtype=np.float32)
+    _project_backward(cameras, degree, parameters, projected, by_projected, gradients, shares)
+    total_share = shares.sum(axis=0, dtype=np.float64)
+    rotation, translation = cameras[:, :9].reshape(-1, 3, 3), cameras[:, 9:12]
+    by_rotation, by_translation, by_centre = np.split(total_share, [9, 12], axis=1)
+    # centre = -rotation^T translation
+    by_pose = np.zeros((len(cameras), 4, 4), dtype=np.float32)
+    by_pose[:, :3, :3] = by_rotation.reshape(-1, 3, 3) - translation[:, :, None] * by_centre[:, None, :]
+    by_pose[:, :3, 3] = by_translation - np.einsum("cij,cj->ci", rotation, by_centre)
+    return gradients, by_pose

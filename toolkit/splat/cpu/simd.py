@@ -236,11 +236,25 @@ def some(typingctx: Any, mask: Any) -> Any:
 
 
 @intrinsic
-def count(typingctx: Any, mask: Any) -> Any:
-    """count(m): number of lanes that are set, int32."""
-    return types.int32(M8), lambda context, builder, signature, args: builder.ctpop(
-        builder.zext(_as_integer(builder, args[0]), _INT)
+def bits(typingctx: Any, mask: Any) -> Any:
+    """bits(m): uint32 whose lowest bit is the first lane."""
+    return types.uint32(M8), lambda context, builder, signature, args: builder.zext(
+        _as_integer(builder, args[0]), _INT
     )
+
+
+@intrinsic
+def lowest(typingctx: Any, number: Any) -> Any:
+    """lowest(n): uint32, the position of the lowest bit of the uint32 n that is set; 32 for zero."""
+    return types.uint32(types.uint32), lambda context, builder, signature, args: builder.cttz(
+        args[0], ir.Constant(ir.IntType(1), 0)
+    )
+
+
+@intrinsic
+def ones(typingctx: Any, number: Any) -> Any:
+    """ones(n): uint32, how many bits of the uint32 n are set."""
+    return types.uint32(types.uint32), lambda context, builder, signature, args: builder.ctpop(args[0])
 
 
 def _halves(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, width: int) -> ir.Value:
@@ -319,6 +333,22 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, index, value), generate
+
+
+@intrinsic
+def store_row(typingctx: Any, array: Any, row: Any, value: Any) -> Any:
+    """store_row(array, i, v): array[i, :8] = v; a contiguous float32 matrix, not checked."""
+    if not _is_plain(array, 2) or not isinstance(row, types.Integer) or value != F8:
+        return None
+
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+        view = context.make_array(signature.args[0])(context, builder, args[0])
+        index = builder.mul(args[1], builder.extract_value(view.shape, 1))
+        address = builder.bitcast(builder.gep(view.data, [index]), _FLOATS.as_pointer())
+        builder.store(args[2], address, align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, row, value), generate
 
 
 def _lane_addresses(

@@ -103,43 +103,45 @@ def depth_order(depths: Array, radii: Array) -> Array:
 
 
 @njit(fastmath=FAST, error_model="numpy", cache=True)
-def _write_record(record: Array, mean2d: Array, splat: Array, factor: Array) -> None:
+def _write_record(
+    records: Array, rank: int, i: int, means2d: Array, splats: Array, factors: Array
+) -> None:
     """Gather what drawing one Gaussian needs."""
     for k in range(2):
-        record[MEAN_X + k] = mean2d[k]
+        records[rank, MEAN_X + k] = means2d[i, k]
     for k in range(4):
-        record[FACTOR_XX + k] = factor[k]
-        record[DEPTH + k] = splat[4 + k]
-    squared = max(factor[3] - np.float32(LOG2_ALPHA_MIN), np.float32(0))
-    record[SQUARED_EXTENT] = squared
-    record[INVERSE_XX] = np.float32(1) / factor[0]
-    record[HALF_HEIGHT] = math.sqrt(squared) / factor[2]
-    record[TOP_OF_X] = splat[1] / math.sqrt(splat[0] * splat[2]) * record[HALF_HEIGHT]
+        records[rank, FACTOR_XX + k] = factors[i, k]
+        records[rank, DEPTH + k] = splats[i, 4 + k]
+    squared = max(factors[i, 3] - np.float32(LOG2_ALPHA_MIN), np.float32(0))
+    records[rank, SQUARED_EXTENT] = squared
+    records[rank, INVERSE_XX] = np.float32(1) / factors[i, 0]
+    records[rank, HALF_HEIGHT] = math.sqrt(squared) / factors[i, 2]
+    records[rank, TOP_OF_X] = splats[i, 1] / math.sqrt(splats[i, 0] * splats[i, 2]) * records[rank, HALF_HEIGHT]
 
 
 @njit(fastmath=FAST, error_model="numpy", cache=True)
-def _tile_rows(record: Array, rows: int) -> tuple[int, int]:
+def _tile_rows(records: Array, rank: int, rows: int) -> tuple[int, int]:
     """Return the first and one past the last row of tiles that a footprint touches."""
-    top = math.floor(max(record[MEAN_Y] - record[HALF_HEIGHT] - SLACK, 0.0))
-    bottom = math.floor(min(record[MEAN_Y] + record[HALF_HEIGHT] + SLACK, rows * TILE_HEIGHT - 1.0))
+    top = math.floor(max(records[rank, MEAN_Y] - records[rank, HALF_HEIGHT] - SLACK, 0.0))
+    bottom = math.floor(min(records[rank, MEAN_Y] + records[rank, HALF_HEIGHT] + SLACK, rows * TILE_HEIGHT - 1.0))
     return int(top) // TILE_HEIGHT, int(bottom) // TILE_HEIGHT + 1
 
 
 @njit(fastmath=FAST, error_model="numpy", cache=True)
-def _tile_columns(record: Array, row: int, width: int) -> tuple[int, int]:
+def _tile_columns(records: Array, rank: int, row: int, width: int) -> tuple[int, int]:
     """Return the first and one past the last tile that a footprint touches in a row of tiles."""
-    half = record[HALF_HEIGHT]
-    low = min(max(row * TILE_HEIGHT - record[MEAN_Y], -half), half)
-    high = min(max((row + 1) * TILE_HEIGHT - record[MEAN_Y], -half), half)
+    half = records[rank, HALF_HEIGHT]
+    low = min(max(row * TILE_HEIGHT - records[rank, MEAN_Y], -half), half)
+    high = min(max((row + 1) * TILE_HEIGHT - records[rank, MEAN_Y], -half), half)
     # The ellipse reaches farthest where it does so as a whole, or at the nearer edge of the row.
-    at_right = min(max(record[TOP_OF_X], low), high)
-    at_left = min(max(-record[TOP_OF_X], low), high)
-    v_right, v_left = record[FACTOR_YY] * at_right, record[FACTOR_YY] * at_left
-    squared, yx, inverse = record[SQUARED_EXTENT], record[FACTOR_YX], record[INVERSE_XX]
+    at_right = min(max(records[rank, TOP_OF_X], low), high)
+    at_left = min(max(-records[rank, TOP_OF_X], low), high)
+    v_right, v_left = records[rank, FACTOR_YY] * at_right, records[rank, FACTOR_YY] * at_left
+    squared, yx, inverse = records[rank, SQUARED_EXTENT], records[rank, FACTOR_YX], records[rank, INVERSE_XX]
     right = (math.sqrt(max(squared - v_right * v_right, 0.0)) - yx * at_right) * inverse
     left = (-math.sqrt(max(squared - v_left * v_left, 0.0)) - yx * at_left) * inverse
-    first = math.floor(max(record[MEAN_X] + left - SLACK, 0.0))
-    last = math.floor(min(record[MEAN_X] + right + SLACK, width - 1.0))
+    first = math.floor(max(records[rank, MEAN_X] + left - SLACK, 0.0))
+    last = math.floor(min(records[rank, MEAN_X] + right + SLACK, width - 1.0))
     if last < first:
         return 0, 0
     return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH + 1
@@ -160,17 +162,16 @@ def _count_run(
     columns: int,
     rows: int,
 ) -> None:
-    for rank in range(start, end):
-        i, record = order[rank], records[rank]
-        _write_record(record, means2d[i], splats[i], factors[i])
+    for rank in range(np.uint64(start), np.uint64(end)):
+        _write_record(records, rank, order[rank], means2d, splats, factors)
         total = 0
-        first_row, end_row = _tile_rows(record, rows)
+        first_row, end_row = _tile_rows(records, rank, rows)
         for row in range(first_row, end_row):
-            first, stop = _tile_columns(record, row, width)
+            first, stop = _tile_columns(records, rank, row, width)
             for tile in range(row * columns + first, row * columns + stop):
                 cursor[tile] += 1
             total += stop - first
-        counts[rank + 1] = total
+        counts[rank + np.uint64(1)] = total
 
 
 @njit(error_model="numpy", cache=True, parallel=True)
@@ -222,11 +223,11 @@ def _fill_run(
     columns: int,
     rows: int,
 ) -> None:
-    for rank in range(start, end):
-        record, slot = records[rank], first_slots[rank]
-        first_row, end_row = _tile_rows(record, rows)
+    for rank in range(np.uint64(start), np.uint64(end)):
+        slot = first_slots[rank]
+        first_row, end_row = _tile_rows(records, rank, rows)
         for row in range(first_row, end_row):
-            first, stop = _tile_columns(record, row, width)
+            first, stop = _tile_columns(records, rank, row, width)
             for tile in range(row * columns + first, row * columns + stop):
                 position = cursor[tile]
                 cursor[tile] = position + 1

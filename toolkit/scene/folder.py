@@ -1,0 +1,190 @@
+"""A scene as a folder: a COLMAP folder (``images/``, ``masks/``, ``sparse/0/``) with ``scene.json`` beside it.
+
+Poses, points and tracks lie in ``sparse/0``, where COLMAP, nerfstudio and gsplat find them; ``scene.json`` holds
+what COLMAP has no place for: the order, split, times and priors of all frames, registered or not, all cameras,
+and the georeference.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from toolkit.errors import DataError
+from toolkit.files import atomic_path, disk_errors, read_json, write_json
+from toolkit.progress import Progress, silent, track
+from toolkit.scene.colmap import remove_model, scene_like, scene_to_pycolmap, write_model
+from toolkit.scene.colmap_files import read_model
+from toolkit.scene.records import (
+    camera_from_record,
+    camera_record,
+    field,
+    frame_from_record,
+    frame_record,
+    georeference_from_record,
+    georeference_record,
+)
+from toolkit.scene.scene import Points, Scene
+
+SCENE_FILE = "scene.json"
+_FORMAT = "sightline-scene"
+_VERSION = 1
+_SPARSE = "sparse/0"
+
+
+def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progress: Progress = silent) -> None:
+    """Write a scene as a folder that :func:`read_scene` and COLMAP open.
+
+    ``scene.json`` goes first and is written last, so that a folder whose writing was cut short is no scene.
+    Rotations are stored as quaternions (equal to about 1e-15); all other numbers to the bit. Observations in
+    frames without a pose are not kept.
+
+    Parameters
+    ----------
+    scene:
+        With cameras of COLMAP's models.
+    folder:
+        Made where it is not there; a scene that is there is replaced, other files stay.
+    copy_images:
+        Copy pictures and masks to ``images/`` and ``masks/``; otherwise the folder refers to where they lie.
+    progress:
+        Told of every copied picture.
+
+    Raises
+    ------
+    CapabilityError
+        Where a camera is none of COLMAP's.
+    DataError
+        Where the scene holds what cannot be stored (names with control characters, numbers that are not finite)
+        or a picture to copy is missing.
+    RunError
+        When the disk is full or the folder may not be written.
+    """
+    record = _record(scene, folder, copy_images)
+    model = scene_to_pycolmap(scene) if record["sparse"] else None
+    with disk_errors(folder, "writing"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / SCENE_FILE).unlink(missing_ok=True)
+    if copy_images:
+        _copy_pictures(scene, folder, progress)
+    if model is None:
+        with disk_errors(folder, "writing"):
+            remove_model(folder / _SPARSE)
+    else:
+        write_model(model, folder / _SPARSE)
+    write_json(folder / SCENE_FILE, record)
+
+
+def _record(scene: Scene, folder: Path, copy_images: bool) -> dict[str, Any]:
+    points = scene.points
+    errors = points is not None and points.error is not None
+    tracks = points is not None and points.tracks is not None
+    images = folder / "images" if copy_images else scene.image_dir
+    masks = folder / "masks" if copy_images and scene.mask_dir is not None else scene.mask_dir
+    return {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "image_dir": _place(images, folder),
+        "mask_dir": None if masks is None else _place(masks, folder),
+        "georeference": georeference_record(scene.georeference),
+        "sparse": _SPARSE if scene.registered or points is not None else None,
+        "points": None if points is None else {"errors": errors, "tracks": tracks},
+        "cameras": [{"id": int(i), **camera_record(scene.cameras[i])} for i in sorted(scene.cameras)],
+        "frames": [frame_record(frame) for frame in scene.frames],
+    }
+
+
+def _place(target: Path, folder: Path) -> str:
+    """Return ``target`` relative to ``folder`` where it lies inside, else absolute."""
+    absolute = target.resolve()
+    inside = folder.resolve()
+    return (absolute.relative_to(inside) if absolute.is_relative_to(inside) else absolute).as_posix()
+
+
+def _copy_pictures(scene: Scene, folder: Path, progress: Progress) -> None:
+    for frame in track(scene.frames, "scene.copy", progress):
+        pairs = [(scene.image_path(frame), folder / "images" / frame.name)]
+        mask = scene.mask_path(frame)
+        if mask is not None:
+            pairs.append((mask, folder / "masks" / f"{frame.name}.png"))
+        for source, target in pairs:
+            if not source.is_file():
+                raise DataError(f"Picture {source} is missing", todo="Put it back or take it out of the scene")
+            if target.exists() and target.samefile(source):
+                continue
+            with atomic_path(target) as temporary:
+                shutil.copyfile(source, temporary)
+
+
+def read_scene(folder: Path) -> Scene:
+    """Read a scene that :func:`write_scene` wrote. Pictures are not opened.
+
+    Where ``sparse/0`` was changed since (by COLMAP's bundle adjuster, say) its poses, cameras and points count.
+
+    Raises
+    ------
+    DataError
+        Where ``scene.json`` is missing, damaged, of another version or leaves the folder by ``..``, or it does
+        not fit to ``sparse/0``, or that is damaged; the message names the file and the key.
+    """
+    path = folder / SCENE_FILE
+    record = read_json(path)
+    kind = field(record, "format", str, str(path)), field(record, "version", int, str(path))
+    if kind != (_FORMAT, _VERSION):
+        raise DataError(
+            f"Cannot read {path}",
+            expected=f"format '{_FORMAT}', version {_VERSION}",
+            found=f"format '{kind[0][:40]}', version {kind[1]}",
+            todo="Was it written by a newer version of this program?",
+        )
+    masks = field(record, "mask_dir", str, str(path), optional=True)
+    try:
+        scene = Scene(
+            image_dir=_from_place(field(record, "image_dir", str, str(path)), folder, path),
+            cameras=_cameras(field(record, "cameras", list, str(path)), path),
+            frames=tuple(
+                frame_from_record(item, f"{path}, frame {i}")
+                for i, item in enumerate(field(record, "frames", list, str(path)))
+            ),
+            mask_dir=None if masks is None else _from_place(masks, folder, path),
+            georeference=georeference_from_record(record.get("georeference"), str(path)),
+        )
+    except DataError as error:
+        raise DataError(f"{path} holds no scene", found=str(error)) from error
+    hints = field(record, "points", dict, str(path), optional=True)
+    if field(record, "sparse", str, str(path), optional=True) is None:
+        return scene
+    posed = scene_like(read_model(folder / _SPARSE), scene.image_dir, scene)
+    return posed.replace(points=_as_hinted(posed.points, hints))
+
+
+def _as_hinted(points: Points | None, hints: dict[str, Any] | None) -> Points | None:
+    """Tell "there are none" from "there is an empty list of them", which COLMAP's files cannot."""
+    if points is None or (hints is None and not len(points)):
+        return None
+    tracks, error = points.tracks, points.error
+    if hints is not None and tracks is not None and not len(tracks.point) and not hints.get("tracks"):
+        tracks = None
+    if hints is not None and error is None and hints.get("errors"):
+        error = np.full(len(points), np.nan)
+    return dataclasses.replace(points, tracks=tracks, error=error)
+
+
+def _from_place(text: str, folder: Path, path: Path) -> Path:
+    if ".." in PurePosixPath(text).parts or "\0" in text:
+        raise DataError(f"A folder named in {path} leaves it", expected="a path without '..'", found=repr(text))
+    return folder / text
+
+
+def _cameras(records: list[Any], path: Path) -> dict[int, Any]:
+    cameras = {}
+    for place, record in enumerate(records):
+        number = field(record, "id", int, f"{path}, camera {place}")
+        if number in cameras:
+            raise DataError(f"{path} has camera {number} twice")
+        cameras[number] = camera_from_record(record, f"{path}, camera {number}")
+    return cameras
