@@ -18,9 +18,7 @@ from toolkit.runs.launch import execute
 from toolkit.runs.measures import best_of, better, format_number, format_seconds, is_picture_measure
 
 
-def change_result(run: RunFolder, **values: Any) -> None:
-    content = json.loads(run.result_file.read_text())
-    run.result_file.write_text(json.dumps({**content, **values}))
+NOT_COMPARABLE = "PSNR, SSIM and LPIPS cannot be compared."
 
 
 def change_record(run: RunFolder, **values: Any) -> None:
@@ -87,9 +85,7 @@ def test_other_pictures_are_a_warning_and_no_picture_measure_is_best(finished: M
     one = finished(name="one", loop__rate=0.8)
     two = finished(name="two", loop__rate=0.2, data=write_photos(tmp_path / "more", seed=1))
     comparison = compare_runs([one, two])
-    assert comparison.warnings == (
-        "The runs were made from different pictures or priors: PSNR, SSIM and LPIPS cannot be compared.",
-    )
+    assert comparison.warnings == (f"The runs were made from different pictures or priors: {NOT_COMPARABLE}",)
     assert measure(comparison, "test.psnr").best == frozenset()
     assert measure(comparison, "poses.sim3.ate").best == {1}
 
@@ -97,7 +93,7 @@ def test_other_pictures_are_a_warning_and_no_picture_measure_is_best(finished: M
 def test_other_test_pictures_are_a_warning(finished: MakeRun) -> None:
     comparison = compare_runs([finished(name="one"), finished(name="two", test_every=3, loop__rate=0.1)])
     assert (
-        "The runs were measured on different test pictures (one: 3, two: 2): PSNR, SSIM and LPIPS cannot be compared."
+        f"The runs were measured on different test pictures (one: 3, two: 2): {NOT_COMPARABLE}"
         in comparison.warnings
     )
     assert measure(comparison, "test.psnr").best == frozenset()
@@ -107,9 +103,7 @@ def test_test_pictures_of_other_sizes_are_a_warning(pair: tuple[RunFolder, RunFo
     for picture in (pair[0].artifacts / "test").iterdir():
         Image.open(picture).resize((24, 16)).save(picture)
     warnings = compare_runs(pair).warnings
-    assert warnings == (
-        "The test pictures have different sizes (slow: 24x16, fast: 48x32): PSNR, SSIM and LPIPS cannot be compared.",
-    )
+    assert warnings == (f"The test pictures have different sizes (slow: 24x16, fast: 48x32): {NOT_COMPARABLE}",)
 
 
 def test_missing_pictures_are_no_reason_to_fail(pair: tuple[RunFolder, RunFolder]) -> None:
@@ -123,7 +117,8 @@ def test_poses_of_other_frames_are_a_warning(pair: tuple[RunFolder, RunFolder]) 
     content["found"] = content["found"][:4]
     pair[1].trajectory_file.write_text(json.dumps(content))
     assert compare_runs(pair).warnings == (
-        "The runs found poses of different frames (slow: 6, fast: 4): their pose errors are means over other frames.",
+        "The runs found poses of different frames (slow: 6, fast: 4): "
+        "their pose errors are means over other frames.",
     )
 
 

@@ -112,11 +112,13 @@ def fill(folder: Path) -> Path:
     """Write until nothing more goes onto the disk and return the file that does it."""
     filler = folder / "filler"
     with filler.open("wb", buffering=0) as file:
-        try:
-            while file.write(b"x" * 4096):
-                pass
-        except OSError as error:
-            assert error.errno == errno.ENOSPC
+
+        def write_on() -> None:
+            while True:
+                file.write(b"x" * 4096)
+
+        with pytest.raises(OSError, match="No space left"):
+            write_on()
     return filler
 
 

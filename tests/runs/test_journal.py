@@ -68,9 +68,13 @@ def test_stages_that_take_turns_are_logged_once(run: RunFolder) -> None:
 
 
 def test_a_failure_is_told_in_status_and_log_and_passes_on(run: RunFolder) -> None:
-    with pytest.raises(StageError, match="No overlap"), journal(run) as book:
-        book(ProgressEvent("sfm", 3, None))
-        raise StageError("No overlap", found="2 matches")
+    def work() -> None:
+        with journal(run) as book:
+            book(ProgressEvent("sfm", 3, None))
+            raise StageError("No overlap", found="2 matches")
+
+    with pytest.raises(StageError, match="No overlap"):
+        work()
     status = run.status()
     assert (status.state, status.stage, status.done) == ("failed", "sfm", 3)
     assert status.error == "No overlap; found 2 matches."
@@ -165,7 +169,7 @@ def test_time_goes_on_in_a_second_session(run: RunFolder) -> None:
         book(ProgressEvent("train", 3, 9, values={"loss": 1.0}))
     loss = run.curves().find("train", "loss")
     assert loss is not None
-    assert (loss.seconds[-1] >= 100) and (loss.seconds[-1] < 110)
+    assert 100 <= loss.seconds[-1] < 110
 
 
 def test_nothing_is_left_set_aside(run: RunFolder) -> None:

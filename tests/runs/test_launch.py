@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_recipe import RECIPE, FakeSettings, LoopSettings, MakeRun, write_photos
+from fake_recipe import RECIPE, FakeSettings, LoopSettings, MakeRun, posed, write_photos
 from PIL import Image
 
 from toolkit.errors import Cancelled, CapabilityError, DataError, RunError, SettingsError, StageError
@@ -21,6 +21,8 @@ from toolkit.runs.launch import WORKSPACE, create_run, execute, resume
 from toolkit.runs.process import ProcessMark
 from toolkit.runs.status import RunStatus, read_status, utc_now, write_status
 from toolkit.runs.trajectories import read_trajectories
+from toolkit.scene.dataset import open_capture
+from toolkit.scene.folder import write_scene
 from toolkit.settings import Settings
 
 
@@ -62,6 +64,22 @@ def test_found_and_reference_poses_are_kept_for_plots(queued: MakeRun) -> None:
         assert frame.cam_from_world is not None
         # JSON keeps all digits; the way over the quaternion costs a few of the last.
         np.testing.assert_allclose(stored.found.poses[frame.name].matrix, frame.cam_from_world.matrix, atol=1e-12)
+
+
+def test_true_poses_of_the_data_are_kept_beside_the_found_ones(
+    queued: MakeRun, photos: Path, tmp_path: Path
+) -> None:
+    truth = posed(open_capture(photos).scene)
+    write_scene(truth, tmp_path / "scene", copy_images=True)
+    run = queued(data=tmp_path / "scene")
+    execute(run, recipe=RECIPE)
+    stored = read_trajectories(run.trajectory_file)
+    assert stored.reference is not None
+    for frame in truth.frames:
+        assert frame.cam_from_world is not None
+        np.testing.assert_allclose(
+            stored.reference.poses[frame.name].matrix, frame.cam_from_world.matrix, atol=1e-12
+        )
 
 
 def test_the_recipe_gets_frozen_settings_and_its_own_folders(queued: MakeRun) -> None:
@@ -107,7 +125,7 @@ def test_a_cancelled_run_goes_on_from_its_checkpoint_to_the_same_result(queued: 
 
     events: list[ProgressEvent] = []
     resume(run, events.append, recipe=RECIPE)
-    assert [event.done for event in events if event.stage == "train"][0] == 11  # the checkpoint was at 10
+    assert next(event.done for event in events if event.stage == "train") == 11  # the checkpoint was at 10
     assert run.result().metrics == whole.result().metrics  # to the bit
     assert values(run, "total") == values(whole, "total")  # no step twice, none missing
     assert "resumed; it was cancelled in stage 'train' at 17" in run.log_file.read_text()

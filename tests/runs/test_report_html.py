@@ -23,7 +23,8 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import execute
 from toolkit.runs.report_html import write_report
 
-ODD = "<script>alert(1)<b>&'\""  # a name that would do harm where it is not escaped; no slash, which names may not have
+# A name that would do harm where it is not escaped. It has no slash: names may not.
+ODD = "<script>alert(1)<b>&'\""
 
 
 class Page(HTMLParser):

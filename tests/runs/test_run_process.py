@@ -39,7 +39,7 @@ def test_a_process_of_another_machine_cannot_be_judged() -> None:
 
 @linux
 def test_a_killed_process_is_gone_even_before_it_is_reaped() -> None:
-    code = "import sys; from toolkit.runs.process import ProcessMark as P; print(P.current().started, flush=True); input()"
+    code = "from toolkit.runs.process import ProcessMark as P; print(P.current().started, flush=True); input()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         started = child.stdout.readline().decode().strip()

@@ -26,7 +26,7 @@ from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.train import TrainResult, train_splats
 from toolkit.splat.train_settings import TrainSettings
 
-BACKEND = "reference"
+BACKEND = "cpu"
 
 
 def settings(**changes) -> TrainSettings:
