@@ -16,12 +16,15 @@ import pytest
 from fake_recipe import RECIPE, write_photos
 
 import toolkit
+from toolkit import demo
 from toolkit.cli import build_parser, main
-from toolkit.errors import SettingsError
+from toolkit.errors import Cancelled, SettingsError
 from toolkit.progress import ProgressEvent
 from toolkit.recipes import registry
 from toolkit.recipes.base import Recipe
+from toolkit.runs.compare import Comparison, compare_runs
 from toolkit.runs.index import list_runs
+from toolkit.scene.folder import read_scene
 
 
 @pytest.fixture(autouse=True)
@@ -148,7 +151,19 @@ def test_ctrl_c_ends_with_130_and_resume_finishes(
     assert toolkit_command("resume", "latest") == 0
     assert list_runs(runs)[0].state == "finished"
     assert toolkit_command("resume", "latest") == 2
-    assert "found a finished run" in toolkit_command.err
+    assert "found one that is finished" in toolkit_command.err
+
+
+def test_a_cancelled_command_ends_with_130_too(
+    toolkit_command: Said, runs: Path, photos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cancel(self: object, event: ProgressEvent) -> None:
+        if event.stage == "train":
+            raise Cancelled("Cancelled by a listener")
+
+    monkeypatch.setattr("toolkit.cli.TqdmProgress.__call__", cancel)
+    assert toolkit_command("run", "fake", "--data", photos) == 130
+    assert toolkit_command.err.splitlines()[-1] == "stopped: Cancelled by a listener."
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
@@ -208,6 +223,35 @@ def test_a_run_that_is_not_there_is_told(toolkit_command: Said, runs: Path, comm
     assert "is no run; expected a folder with run.json" in toolkit_command.err
 
 
+def test_a_sample_is_made_with_the_flags_of_its_settings(toolkit_command: Said, tmp_path: Path) -> None:
+    size = ["--flight.frames", 2, "--flight.image-width", 32, "--flight.image-height", 24, "--points", 50]
+    assert toolkit_command("sample", "town", "--to", tmp_path / "town", "--seed", 3, *size) == 0
+    assert toolkit_command.out == f"Sample written to {tmp_path / 'town'}\n"
+    scene = read_scene(tmp_path / "town")
+    assert [scene.camera_of(frame).width for frame in scene.frames] == [32, 32]
+    assert toolkit_command("sample", "town", "--to", tmp_path / "town", *size) == 2
+    assert "town is in the way" in toolkit_command.err
+    assert toolkit_command("sample", "town", "--to", tmp_path / "other", "--flight.frames", 1) == 2
+    assert "whole number 2 to 5000" in toolkit_command.err
+
+
+def test_the_demonstration_ends_with_a_comparison_and_a_page(
+    toolkit_command: Said, runs: Path, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toolkit_command("run", "fake", "--data", photos)
+    made: list[Path] = []
+
+    def quick(folder: Path, progress: object) -> tuple[Comparison, Path]:
+        made.append(folder)
+        return compare_runs([list_runs(runs)[0].run]), folder / "compare.html"
+
+    monkeypatch.setattr(demo, "run_demo", quick)
+    assert toolkit_command("demo", "--folder", tmp_path / "d") == 0
+    assert made == [tmp_path / "d"]
+    assert "test.psnr" in toolkit_command.out
+    assert toolkit_command.out.splitlines()[-1].endswith((tmp_path / "d" / "compare.html").as_uri())
+
+
 def test_an_empty_folder_of_runs_is_said(toolkit_command: Said, runs: Path, tmp_path: Path) -> None:
     assert toolkit_command("runs") == 0
     assert toolkit_command.out == f"No runs in {runs}\n"
@@ -227,7 +271,9 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"toolkit {toolkit.__version__}\n"
 
 
-@pytest.mark.parametrize("command", ["recipes", "run", "runs", "show", "compare", "resume", "export", "sample"])
+@pytest.mark.parametrize(
+    "command", ["recipes", "run", "runs", "show", "compare", "resume", "export", "sample", "demo"]
+)
 def test_every_help_has_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as done:
         main([command, "--help"])

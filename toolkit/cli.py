@@ -30,8 +30,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     command: _Command = arguments.command
     try:
         command(arguments)
+        sys.stdout.flush()
     except (Cancelled, KeyboardInterrupt) as stop:
-        print(f"stopped: {stop or 'Ctrl-C'}", file=sys.stderr)
+        print(f"stopped: {str(stop) or 'Ctrl-C'}", file=sys.stderr)
         return 130
     except ToolkitError as error:
         if arguments.debug:
@@ -90,11 +91,7 @@ def _demo(arguments: argparse.Namespace) -> None:
     from toolkit.demo import run_demo
     from toolkit.runs.text import comparison_text
 
-    bar = TqdmProgress()
-    try:
-        comparison, page = run_demo(arguments.folder, bar)
-    finally:
-        bar.close()
+    comparison, page = _with_bar(lambda bar: run_demo(arguments.folder, bar))
     print(comparison_text(comparison))
     print(f"\nThe same with curves, camera paths and pictures: {page.resolve().as_uri()}")
 

@@ -26,6 +26,7 @@ COMMON: dict[str, Any] = {
     "sift.max_features": 2048,
     "train.steps": 700,
     "train.max_side": 320,
+    "train.max_gaussians": 20_000,
 }
 WAYS: dict[str, dict[str, Any]] = {
     "exhaustive": {"pairs.method": "exhaustive"},

@@ -145,3 +145,5 @@ def test_measures_of_pictures_are_marks_in_the_given_order() -> None:
     assert list(figure.data[0].y) == [2.0, 1.0]
     assert list(figure.data[1].y) == [3.0, None]
     assert figure.layout.yaxis.title.text == "PSNR in dB"
+    second = view_figure({"none": {}, "some": {"x": 1.0}}, ["x"], measure="").data
+    assert [(trace.name, trace.marker.color) for trace in second] == [("some", colour(1))]

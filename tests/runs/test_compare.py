@@ -17,7 +17,6 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import execute
 from toolkit.runs.measures import best_of, better, format_number, format_seconds, is_picture_measure
 
-
 NOT_COMPARABLE = "PSNR, SSIM and LPIPS cannot be compared."
 
 

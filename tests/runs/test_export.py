@@ -10,7 +10,6 @@ import pycolmap
 import pytest
 import torch
 from fake_recipe import RECIPE, FakeSettings, MakeRun, posed
-from PIL import Image
 
 from toolkit.errors import DataError, RunError
 from toolkit.progress import CancelToken, ProgressEvent
@@ -20,6 +19,7 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import execute
 from toolkit.scene.dataset import open_capture
 from toolkit.scene.folder import read_scene
+from toolkit.scene.pictures import picture_size
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.ply import read_splats
 
@@ -59,7 +59,7 @@ def test_the_scene_is_copied_with_its_pictures(splat_run: RunFolder, photos: Pat
     assert [frame.name for frame in scene.frames] == [frame.name for frame in expected.frames]
     np.testing.assert_allclose(scene.centres(), expected.centres(), atol=1e-12)  # over quaternions
     for frame in scene.frames:
-        assert Image.open(scene.image_path(frame)).size == (48, 32)
+        assert picture_size(scene.image_path(frame)) == (48, 32)
     assert open_capture(tmp_path / "scene").reference is not None
 
 

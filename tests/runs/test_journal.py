@@ -67,6 +67,19 @@ def test_stages_that_take_turns_are_logged_once(run: RunFolder) -> None:
     ]
 
 
+def test_a_stage_that_tells_its_end_twice_ends_once_and_may_begin_again(run: RunFolder) -> None:
+    with journal(run) as book:
+        for done in (0, 1, 1, 0, 1):
+            book(ProgressEvent("sfm", done, 1))
+    assert log_of(run) == [
+        "start sfm (1 steps)",
+        "end sfm after N s",
+        "start sfm (1 steps)",
+        "end sfm after N s",
+        "finished after N s of work",
+    ]
+
+
 def test_a_failure_is_told_in_status_and_log_and_passes_on(run: RunFolder) -> None:
     def work() -> None:
         with journal(run) as book:

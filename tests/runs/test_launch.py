@@ -128,7 +128,7 @@ def test_a_cancelled_run_goes_on_from_its_checkpoint_to_the_same_result(queued: 
     assert next(event.done for event in events if event.stage == "train") == 11  # the checkpoint was at 10
     assert run.result().metrics == whole.result().metrics  # to the bit
     assert values(run, "total") == values(whole, "total")  # no step twice, none missing
-    assert "resumed; it was cancelled in stage 'train' at 17" in run.log_file.read_text()
+    assert "resumed; it was cancelled in stage 'train' at 17: Cancelled in stage train" in run.log_file.read_text()
 
 
 def test_ctrl_c_leaves_a_run_that_can_be_resumed(queued: MakeRun) -> None:
@@ -166,7 +166,9 @@ def test_a_finished_run_is_neither_executed_nor_resumed(finished: MakeRun) -> No
     run = finished()
     before = run.log_file.read_text()
     for attempt in (execute, resume):
-        with pytest.raises(RunError, match=f"Run {run.id} cannot be started; .*found a finished run") as caught:
+        with pytest.raises(
+            RunError, match=f"Run {run.id} cannot be started; .*found one that is finished"
+        ) as caught:
             attempt(run, recipe=RECIPE)
         assert "start a new run to compute it again" in str(caught.value)
     assert run.log_file.read_text() == before
@@ -176,7 +178,7 @@ def test_a_stopped_run_is_not_executed_but_resumed(queued: MakeRun) -> None:
     run = queued()
     with pytest.raises(Cancelled):
         execute(run, stop_at(5), recipe=RECIPE)
-    with pytest.raises(RunError, match=r"expected queued; found a cancelled run. Resume it\."):
+    with pytest.raises(RunError, match=r"expected queued; found one that is cancelled. Resume it\."):
         execute(run, recipe=RECIPE)
 
 
@@ -184,7 +186,7 @@ def test_a_run_at_work_elsewhere_is_left_alone(queued: MakeRun) -> None:
     run = queued()
     elsewhere = dataclasses.replace(ProcessMark.current(), host="elsewhere")
     write_status(run.status_file, RunStatus("running", heartbeat=utc_now(), started=utc_now(), process=elsewhere))
-    with pytest.raises(RunError, match="found a running run. Wait until it ends"):
+    with pytest.raises(RunError, match="found one that is running. Wait until it ends"):
         resume(run, recipe=RECIPE)
 
 
@@ -194,6 +196,22 @@ def test_a_run_that_its_process_let_go_without_a_word_can_be_resumed(queued: Mak
     write_status(run.status_file, RunStatus("running", heartbeat=utc_now(), started=utc_now(), process=mark))
     resume(run, recipe=RECIPE)
     assert run.status().state == "finished"
+
+
+@pytest.mark.parametrize("text", ["", "{}", None])
+def test_a_stopped_run_with_a_damaged_status_can_be_resumed(queued: MakeRun, text: str | None) -> None:
+    run = queued()
+    with pytest.raises(Cancelled):
+        execute(run, stop_at(12), recipe=RECIPE)
+    run.status_file.unlink()
+    if text is not None:
+        run.status_file.write_text(text)
+    with pytest.raises(RunError, match="expected queued; found one that is interrupted"):
+        execute(run, recipe=RECIPE)
+    resume(run, recipe=RECIPE)
+    assert run.status().state == "finished"
+    assert "resumed; it was interrupted: " in run.log_file.read_text()
+    assert "status.json" in run.log_file.read_text()
 
 
 def test_changed_pictures_are_refused(queued: MakeRun, photos: Path) -> None:

@@ -2,8 +2,8 @@
 
 Image numbers in it are the frame's place in the scene plus one, camera numbers those of the scene.
 
-COLMAP brings an SQLite of its own. Two SQLite libraries in one process break each other's file locks, up to a crash,
-so while COLMAP has a database open only :func:`watch` may look into it.
+COLMAP brings an SQLite of its own. Two SQLite libraries in one process break each other's file locks, up to a
+crash, so while COLMAP has a database open only :func:`watch` may look into it.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ def view_figure(measures: Mapping[str, Mapping[str, float]], names: Sequence[str
     Parameters
     ----------
     measures:
-        By the run's label, the measure by picture name; pictures may be missing.
+        By the run's label, the measure by picture name; pictures may be missing. A run without any keeps its
+        colour.
     names:
         Pictures from left to right.
     measure:
@@ -23,6 +24,8 @@ def view_figure(measures: Mapping[str, Mapping[str, float]], names: Sequence[str
     """
     drawn = figure("", 320, showlegend=len(measures) > 1, hovermode="x unified")
     for position, (label, values) in enumerate(measures.items()):
+        if not values:
+            continue
         drawn.add_scatter(
             x=[shown(name) for name in names],
             y=[values.get(name) for name in names],

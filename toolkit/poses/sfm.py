@@ -1,25 +1,300 @@
-"""Incremental structure from motion: poses, points and calibration from matched pictures (COLMAP's mapper)."""
+"""Incremental structure from motion: poses, points and calibration from matched pictures, by COLMAP's mapper."""
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pycolmap
 
-from toolkit.errors import StageError
-from toolkit.geometry.cameras import ColmapCamera
+from toolkit.errors import Cancelled, DataError
+from toolkit.files import disk_errors
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import copy_database
-from toolkit.matching.features import FEW_FEATURES, FeatureReport, SiftSettings, extract_sift
-from toolkit.matching.match import MatchReport, MatchSettings, match_pairs
-from toolkit.matching.pairs import PairSettings, choose_pairs
-from toolkit.poses.adjust import adjust
-from toolkit.poses.sfm_failure import why_no_model
+from toolkit.matching.database import keypoint_counts
+from toolkit.poses.adjust import AdjustmentReport, adjust
+from toolkit.poses.sfm_failure import check_matches, no_initial_pair
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene, scene_from_pycolmap
-from toolkit.settings import Boolean, Choice, Group, Integer, Number, Settings
+from toolkit.settings import Boolean, Integer, Number, Settings
+
+
+class SfmSettings(Settings):
+    """Incremental structure from motion."""
+
+    min_matches = Integer(15, bounds=(6, 1000), unit="matches", doc="Pairs with fewer inliers are not used.")
+    init_min_inliers = Integer(
+        100, bounds=(15, 10000), unit="matches", doc="Least inliers of the pair that is placed first."
+    )
+    init_min_angle = Number(
+        16.0,
+        bounds=(0.1, 90.0),
+        unit="degrees",
+        doc="Least angle between the rays of the pair that is placed first.",
+    )
+    min_inliers = Integer(
+        30, bounds=(6, 10000), unit="points", doc="Least points by which a further picture is placed."
+    )
+    max_error = Number(4.0, bounds=(0.1, 100.0), unit="px", doc="Observations with a larger error are removed.")
+    min_angle = Number(
+        1.5, bounds=(0.0, 45.0), unit="degrees", doc="Points whose rays meet under a smaller angle are removed."
+    )
+    multiple_models = Boolean(
+        True, doc="Start again with the pictures that are left over; the largest model is the result."
+    )
+    refine_focal = Boolean(True, doc="Find the focal length; no: keep that of the scene's cameras.")
+    refine_distortion = Boolean(True, doc="Find the distortion; no: keep that of the scene's cameras.")
+    refine_principal_point = Boolean(
+        True, doc="Find the principal point in the last adjustment, where the pictures determine it."
+    )
+    global_growth = Number(
+        1.1,
+        bounds=(1.01, 10.0),
+        doc="Everything is adjusted again when pictures or points have grown by this factor; larger is faster.",
+    )
+    tolerance = Number(
+        1e-6, bounds=(0.0, 0.01), doc="While pictures are added, an adjustment ends when its cost changes by less."
+    )
+    threads = Integer(0, bounds=(0, 256), doc="Threads of the solver; 0: as many as there are cores.")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChange:
+    """A camera before and after; ``names`` are COLMAP's of the parameters, lengths in pixels."""
+
+    camera_id: int
+    model: str
+    names: str
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SfmResult:
+    """Poses and points of the largest model.
+
+    Attributes
+    ----------
+    scene:
+        The scene with poses, cameras, points and tracks. Frames that were not registered have no pose.
+    models:
+        Number of registered pictures of each model that was found, the largest first. The scene is the first.
+    observations:
+        Number of observations by the name of each registered picture.
+    mean_track_length:
+        Observations per point.
+    mean_reprojection_error:
+        In pixels, mean over the points.
+    cameras:
+        Those of registered pictures.
+    adjustment:
+        What the last adjustment did.
+    seconds:
+        Wall time by part.
+    """
+
+    scene: Scene
+    models: tuple[int, ...]
+    observations: Mapping[str, int]
+    mean_track_length: float
+    mean_reprojection_error: float
+    cameras: tuple[CameraChange, ...]
+    adjustment: AdjustmentReport
+    seconds: Mapping[str, float]
+
+    @property
+    def not_registered(self) -> tuple[str, ...]:
+        """Names of the frames without a pose."""
+        return tuple(frame.name for frame in self.scene.frames if frame.cam_from_world is None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, ready for JSON."""
+        return {
+            "images": len(self.scene),
+            "registered": len(self.scene.registered),
+            "registered_names": [frame.name for frame in self.scene.registered],
+            "not_registered": list(self.not_registered),
+            "models": list(self.models),
+            "points": 0 if self.scene.points is None else len(self.scene.points),
+            "observations": sum(self.observations.values()),
+            "observations_per_image": dict(self.observations),
+            "mean_track_length": self.mean_track_length,
+            "mean_reprojection_error": self.mean_reprojection_error,
+            "cameras": [asdict(camera) for camera in self.cameras],
+            "adjustment": self.adjustment.to_dict(),
+            "seconds": dict(self.seconds),
+        }
+
+
+def incremental_sfm(
+    scene: Scene,
+    database_path: Path,
+    settings: SfmSettings,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+    work_dir: Path,
+) -> SfmResult:
+    """Place the pictures of a scene one after the other and adjust everything at the end.
+
+    COLMAP's incremental mapper (Schönberger and Frahm 2016, "Structure-from-motion revisited"), and
+    :func:`toolkit.poses.adjust.adjust` on the largest model that it finds. The world frame and its scale are
+    arbitrary. Poses that the scene has are not used.
+
+    Parameters
+    ----------
+    scene:
+        Whose features are in the database.
+    database_path:
+        With features and verified matches. It is only read.
+    settings:
+        As declared.
+    seed:
+        Of every random choice. With the same seed, machine and number of threads results repeat to rounding.
+    progress:
+        Told how many pictures are placed; raises to cancel.
+    work_dir:
+        Folder for files that are needed meanwhile and removed at the end.
+
+    Raises
+    ------
+    DataError
+        For a database that is missing, damaged or of another scene.
+    StageError
+        Where no model was found, saying whether features, overlap or a sound first pair is missing.
+    """
+    names = tuple(frame.name for frame in scene.frames)
+    if tuple(keypoint_counts(database_path)) != names:
+        raise DataError(
+            f"{database_path} does not belong to this scene",
+            expected=f"its {len(names)} frames in their order",
+            todo="Extract and match the features of this scene first",
+        )
+    check_matches(database_path, settings.min_matches)
+    start = time.perf_counter()
+    found = _map(scene, database_path, settings, seed, progress, work_dir)
+    if not found:
+        raise no_initial_pair(database_path, settings.init_min_inliers, settings.init_min_angle)
+    found.sort(key=lambda model: (model.num_reg_images(), model.num_points3D()), reverse=True)
+    mapped = time.perf_counter()
+    best = found[0]
+    report = _adjust(best, settings, len(scene), progress)
+    adjusted = time.perf_counter()
+    images = (best.image(image_id) for image_id in best.reg_image_ids())
+    return SfmResult(
+        scene=scene_from_pycolmap(best, scene.image_dir, like=scene.without_poses()),
+        models=tuple(model.num_reg_images() for model in found),
+        observations={image.name: int(image.num_points3D) for image in images},
+        mean_track_length=float(best.compute_mean_track_length()),
+        mean_reprojection_error=float(best.compute_mean_reprojection_error()),
+        cameras=_changes(best, database_path),
+        adjustment=report,
+        seconds={"mapping": mapped - start, "adjustment": adjusted - mapped},
+    )
+
+
+def _map(
+    scene: Scene, database_path: Path, settings: SfmSettings, seed: int, progress: Progress, work_dir: Path
+) -> list[pycolmap.Reconstruction]:
+    """Return all models that COLMAP's mapper finds."""
+    placed = {"model": 0, "pictures": 0}
+
+    def started() -> None:
+        placed.update(model=placed["model"] + 1, pictures=2)
+
+    def added() -> None:
+        placed["pictures"] += 1
+
+    def event() -> ProgressEvent:
+        message = f"model {placed['model']}" if placed["model"] > 1 else ""
+        return ProgressEvent("sfm", min(placed["pictures"], len(scene)), len(scene), message)
+
+    with disk_errors(work_dir, "writing"):
+        work_dir.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=work_dir, prefix=".models.", suffix=".tmp") as folder:
+
+        def call(token: pycolmap.CancellationToken) -> dict[int, pycolmap.Reconstruction]:
+            pycolmap.set_random_seed(seed)
+            return pycolmap.incremental_mapping(
+                database_path,
+                scene.image_dir,
+                folder,
+                options=_options(settings, seed),
+                initial_image_pair_callback=started,
+                next_image_callback=added,
+                cancellation_token=token,
+            )
+
+        models = run_colmap(call, event, progress)
+    return [model for model in models.values() if model.num_reg_images() >= 2]
+
+
+def _options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOptions:
+    options = pycolmap.IncrementalPipelineOptions(
+        min_num_matches=settings.min_matches,
+        multiple_models=settings.multiple_models,
+        num_threads=settings.threads or -1,
+        random_seed=seed,
+        ba_refine_focal_length=settings.refine_focal,
+        ba_refine_extra_params=settings.refine_distortion,
+        # With few pictures it is not determined, and a wrong one spoils what follows: it waits for the end.
+        ba_refine_principal_point=False,
+        ba_global_frames_ratio=settings.global_growth,
+        ba_global_points_ratio=settings.global_growth,
+        ba_local_function_tolerance=settings.tolerance,
+        ba_global_function_tolerance=settings.tolerance,
+    )
+    options.mapper.random_seed = seed
+    options.mapper.init_min_num_inliers = settings.init_min_inliers
+    options.mapper.init_min_tri_angle = settings.init_min_angle
+    options.mapper.abs_pose_min_num_inliers = settings.min_inliers
+    options.mapper.abs_pose_refine_focal_length = settings.refine_focal
+    options.mapper.abs_pose_refine_extra_params = settings.refine_distortion
+    options.mapper.filter_max_reproj_error = settings.max_error
+    options.mapper.filter_min_tri_angle = settings.min_angle
+    options.triangulation.random_seed = seed
+    options.triangulation.min_angle = settings.min_angle
+    return options
+
+
+def _adjust(
+    model: pycolmap.Reconstruction, settings: SfmSettings, total: int, progress: Progress
+) -> AdjustmentReport:
+    def call(token: pycolmap.CancellationToken) -> AdjustmentReport:
+        def check_cancelled() -> None:
+            if token.is_cancelled:
+                raise Cancelled("Cancelled in the last adjustment")
+
+        return adjust(
+            model,
+            refine_focal=settings.refine_focal,
+            refine_distortion=settings.refine_distortion,
+            refine_principal_point=settings.refine_principal_point,
+            max_error=settings.max_error,
+            min_angle=settings.min_angle,
+            threads=settings.threads,
+            check_cancelled=check_cancelled,
+        )
+
+    event = ProgressEvent("sfm", model.num_reg_images(), total, "last adjustment")
+    return run_colmap(call, lambda: event, progress)
+
+
+def _changes(model: pycolmap.Reconstruction, database_path: Path) -> tuple[CameraChange, ...]:
+    with closing(pycolmap.Database.open(database_path)) as database:
+        before = {camera.camera_id: camera for camera in database.read_all_cameras()}
+    used = sorted({model.image(image_id).camera_id for image_id in model.reg_image_ids()})
+    return tuple(
+        CameraChange(
+            number,
+            model.camera(number).model.name,
+            model.camera(number).params_info,
+            tuple(float(value) for value in before[number].params),
+            tuple(float(value) for value in model.camera(number).params),
+        )
+        for number in used
+    )

@@ -151,7 +151,8 @@ def structure_from_motion(
 
 def _undistorted(scene: Scene, sparse: CachedStage, context: RecipeContext) -> CachedStage:
     def flat_into(folder: Path) -> dict[str, Any]:
-        flat = undistort(scene, folder / "flat", progress=context.progress)
+        # The pictures lie in the scene's own folder, so that it stays whole when the stage's folder is renamed.
+        flat = undistort(scene, folder / _SCENE, progress=context.progress)
         write_scene(flat, folder / _SCENE)
         return {"images": len(flat.registered)}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -188,7 +188,7 @@ def _times(runs: Sequence[ComparedRun]) -> tuple[TimeRow, ...]:
 
 
 def _settings(runs: Sequence[ComparedRun]) -> tuple[tuple[TextRow, ...], tuple[str, ...]]:
-    tables = [flatten(item.record.settings) for item in runs]
+    tables = [item.record.flat_settings for item in runs]
     rows, partial = [], []
     for name in _merged(tables):
         if not all(name in table for table in tables):
@@ -207,17 +207,6 @@ def _settings(runs: Sequence[ComparedRun]) -> tuple[tuple[TextRow, ...], tuple[s
 def _value_text(value: Any) -> str:
     """Return a setting's value for a person; texts without quotes unless they would vanish."""
     return value if isinstance(value, str) and value.strip() else json.dumps(value)
-
-
-def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings under dotted names."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat
 
 
 def _merged(tables: Iterable[Iterable[str]]) -> list[str]:

@@ -38,7 +38,9 @@ class Journal:
         self._began = time.monotonic()
         self._lock = threading.Lock()
         self._ended = threading.Event()
-        self._open: dict[str, tuple[float, ProgressEvent]] = {}
+        # Of each stage that did not reach its total: when it began, when it last said something, and what.
+        self._open: dict[str, tuple[float, float, ProgressEvent]] = {}
+        self._done: set[str] = set()
         self._status = RunStatus("running", started=utc_now(), process=ProcessMark.current())
         self._write_status()
 
@@ -67,9 +69,9 @@ class Journal:
     def end(self, error: BaseException | None) -> None:
         """Write how the work ended."""
         state, message = _ending(error)
-        for began, last in self._open.values():
+        for began, seen, last in self._open.values():
             at = f"{last.done} of {last.total}" if last.total is not None else f"{last.done}"
-            self.log(f"left {last.stage} at {at} after {time.monotonic() - began:.1f} s")
+            self.log(f"left {last.stage} at {at} after {seen - began:.1f} s")
         if state == "failed" and error is not None:
             self.log("".join(traceback.format_exception(error)).rstrip())
         self.log(f"{state} after {self.seconds:.1f} s of work" + (f": {message}" if message else ""))
@@ -77,18 +79,19 @@ class Journal:
         self._write_status()
 
     def _follow_stage(self, event: ProgressEvent) -> None:
-        """Log a stage when it is first met and when it reaches its total; stages may take turns."""
-        began, _ = self._open.get(event.stage, (None, None))
-        note = f": {event.message}" if event.message else ""
-        last = event.total is not None and event.done >= event.total
-        if began is None and not last:
+        """Log a stage when it begins and when it reaches its total; stages may take turns."""
+        now = time.monotonic()
+        began = self._open.pop(event.stage, (now, now, event))[0]
+        if event.total is not None and event.done >= event.total:
+            # Some tell their end more than once; others, found in the workspace, tell nothing but their end.
+            if began < now or event.stage not in self._done:
+                note = f": {event.message}" if event.message else ""
+                self.log(f"end {event.stage} after {now - began:.1f} s{note}")
+            self._done.add(event.stage)
+            return
+        if began == now:
             self.log(f"start {event.stage}" + (f" ({event.total} steps)" if event.total else ""))
-        if last:
-            took = time.monotonic() - began if began is not None else 0.0
-            self.log(f"end {event.stage} after {took:.1f} s{note}")
-            self._open.pop(event.stage, None)
-        else:
-            self._open[event.stage] = (began if began is not None else time.monotonic(), event)
+        self._open[event.stage] = (began, now, event)
 
     def _write_status(self) -> None:
         self._status = replace(self._status, heartbeat=utc_now())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from toolkit.errors import CapabilityError, RunError, SettingsError
+from toolkit.errors import CapabilityError, DataError, RunError, SettingsError
 from toolkit.progress import Progress, fan_out, silent
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
 from toolkit.runs.folder import RunFolder, make_folder
@@ -128,11 +128,12 @@ def _work(run: RunFolder, progress: Progress, recipe: Recipe | None, *, allowed:
     chosen, settings = _recipe_of(run, record, recipe)
     _check_device(record.device)
     with run.held():
-        before = run.status()
+        before = _status_of(run)
         _check_state(run, before, allowed)
         with journal(run) as book:
             if before.state != "queued":
-                book.log(f"resumed; it was {before.state} in stage '{before.stage}' at {before.done}")
+                where = f" in stage '{before.stage}' at {before.done}" if before.stage else ""
+                book.log(f"resumed; it was {before.state}{where}" + (f": {before.error}" if before.error else ""))
             _log_changes(book, record)
             tell = fan_out([book, progress])
             capture = _open_same(run, record, book, tell)
@@ -146,8 +147,8 @@ def _work(run: RunFolder, progress: Progress, recipe: Recipe | None, *, allowed:
             )
             data = RecipeInput(capture.scene, capture.reference, record.data_fingerprint)
             result = chosen.run(data, settings, context)
-            for where in write_result(result, capture.reference, run.artifacts):
-                book.log(f"warning: {where} is not finite and is stored as null")
+            for value in write_result(result, capture.reference, run.artifacts):
+                book.log(f"warning: {value} is not finite and is stored as null")
     return result
 
 
@@ -167,8 +168,8 @@ def _recipe_of(run: RunFolder, record: RunRecord, given: Recipe | None) -> tuple
             found=str(error).rstrip("."),
             todo="Start a new run",
         ) from error
-    if settings.to_dict() != record.settings:
-        added = sorted(dict(settings.items()).keys() - _dotted(record.settings))
+    added = [name for name, _ in settings.items() if name not in record.flat_settings]
+    if added:
         raise RunError(
             f"The settings of run {run.id} do not fit this version of recipe '{record.recipe}'",
             found=f"settings that the run does not have: {', '.join(added)}",
@@ -177,12 +178,12 @@ def _recipe_of(run: RunFolder, record: RunRecord, given: Recipe | None) -> tuple
     return given, settings.frozen()
 
 
-def _dotted(values: dict[str, Any], prefix: str = "") -> set[str]:
-    """Return the dotted names of nested settings."""
-    names: set[str] = set()
-    for name, value in values.items():
-        names |= _dotted(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name}
-    return names
+def _status_of(run: RunFolder) -> RunStatus:
+    """Return the run's status; one that cannot be read counts as that of an interrupted run."""
+    try:
+        return run.status()
+    except DataError as error:
+        return RunStatus("interrupted", error=str(error))
 
 
 def _check_state(run: RunFolder, status: RunStatus, allowed: tuple[State, ...]) -> None:
@@ -198,7 +199,7 @@ def _check_state(run: RunFolder, status: RunStatus, allowed: tuple[State, ...]) 
         "running": "Wait until it ends",
     }.get(state, "Resume it")
     raise RunError(
-        f"Run {run.id} cannot be started", expected=" or ".join(allowed), found=f"a {state} run", todo=todo
+        f"Run {run.id} cannot be started", expected=" or ".join(allowed), found=f"one that is {state}", todo=todo
     )
 
 

@@ -50,6 +50,11 @@ class RunRecord:
         """Return the record ready for JSON."""
         return asdict(self)
 
+    @property
+    def flat_settings(self) -> dict[str, Any]:
+        """The settings under dotted names."""
+        return _flatten(self.settings, "")
+
     @classmethod
     def from_dict(cls, content: Any, path: Path) -> RunRecord:
         """Return the record in the JSON of ``path``.
@@ -78,3 +83,10 @@ class RunRecord:
                     found=repr(content.get(name, "nothing")),
                 )
         return cls(**{name: content[name] for name in cls.__dataclass_fields__})
+
+
+def _flatten(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= _flatten(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {prefix + name: value}
+    return flat

@@ -244,7 +244,7 @@ def _times(comparison: Comparison, heads: Sequence[Html], figures: FigureBook) -
     totals = ["–" if total is None else format_seconds(total) for total in comparison.totals]
     rows.append(["total", *totals])
     reused = any(time is not None and time.reused for row in comparison.times for time in row.times)
-    note = "Hatched stages were reused from an earlier run and count with the time that they took then."
+    note = "Hatched stages were reused: they count with the time that they took when they were made."
     return _section(
         "Time by stage",
         _notes([note] if reused else []),

@@ -81,6 +81,7 @@ td.best b {
 td small { color: var(--muted); margin-left: 5px; }
 table.total tbody tr:last-child > * { font-weight: 650; }
 .charts { display: grid; gap: 14px; grid-template-columns: repeat(auto-fit, minmax(min(430px, 100%), 1fr)); }
+@media (min-width: 930px) { .charts > :last-child:nth-child(odd):not(:only-child) { grid-column: 1 / -1; } }
 .chart { padding: 10px 12px 4px; min-width: 0; overflow: hidden; }
 .bar { display: flex; flex-wrap: wrap; align-items: center; gap: 8px 14px; margin: 0 0 12px; }
 .choice {

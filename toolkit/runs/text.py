@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from toolkit.recipes.base import Recipe, StageTime
-from toolkit.runs.compare import ComparedRun, Comparison, TextRow, flatten
+from toolkit.runs.compare import ComparedRun, Comparison, TextRow
 from toolkit.runs.index import RunSummary
 from toolkit.runs.measures import better, format_number, format_seconds
 
@@ -99,7 +99,7 @@ def comparison_text(comparison: Comparison) -> str:
         rows += [[row.stage, *(_time(time) for time in row.times)] for row in comparison.times]
         totals = ["–" if total is None else format_seconds(total) + "  " for total in comparison.totals]
         rows.append(["total", *totals])
-        parts.append(f"Times  (r: reused from an earlier run, with its time then)\n{table(rows, right=True)}")
+        parts.append(f"Times  (r: reused, with the time it took when it was made)\n{table(rows, right=True)}")
     if several:
         differ = (
             _text_table("setting", labels, comparison.settings) if comparison.settings else "none that all have"
@@ -145,7 +145,7 @@ def run_text(comparison: Comparison) -> str:
     item = comparison.runs[0]
     settings = [
         ("setting", "value"),
-        *((name, str(value)) for name, value in flatten(item.record.settings).items()),
+        *((name, str(value)) for name, value in item.record.flat_settings.items()),
     ]
     parts = [comparison_text(comparison), table(settings), _files(item)]
     if item.run.log_file.is_file():

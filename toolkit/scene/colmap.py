@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -162,7 +165,11 @@ def read_colmap(folder: Path, image_dir: Path) -> Scene:
     DataError
         Where the model is missing, damaged or contradicts itself; the message names the file.
     """
-    return _scene_of(read_model(folder), image_dir)
+    model = read_model(folder)
+    try:
+        return _scene_of(model, image_dir)
+    except DataError as error:
+        raise DataError(f"The model in {folder} is no scene", found=str(error).rstrip(".")) from error
 
 
 def write_colmap(scene: Scene, folder: Path, binary: bool = True) -> None:
@@ -174,42 +181,61 @@ def write_colmap(scene: Scene, folder: Path, binary: bool = True) -> None:
     Raises
     ------
     CapabilityError, DataError
-        As :func:`scene_to_pycolmap`.
+        As :func:`scene_to_pycolmap` and :func:`staged_model`.
     RunError
         When the disk is full or the folder may not be written.
     """
-    write_model(scene_to_pycolmap(scene), folder, binary)
+    with staged_model(scene_to_pycolmap(scene), folder, binary) as move_in:
+        move_in()
 
 
-def write_model(reconstruction: pycolmap.Reconstruction, folder: Path, binary: bool = True) -> None:
-    """Write a reconstruction into ``folder`` in place of the model files that are there.
+@contextmanager
+def staged_model(
+    reconstruction: pycolmap.Reconstruction, folder: Path, binary: bool = True
+) -> Iterator[Callable[[], None]]:
+    """Write a reconstruction beside its place and yield what moves it into ``folder``.
 
-    No half of a model is ever seen as a whole one.
+    What is in ``folder`` stays until the new model is whole; then its model files, binary and text, go. No half
+    of a model is ever seen as a whole one.
 
     Raises
     ------
+    DataError
+        For names with spaces as text: COLMAP reads them only up to the space.
     RunError
         When the disk is full or the folder may not be written.
     """
+    for image in reconstruction.images.values():
+        if not binary and " " in image.name:
+            raise DataError(
+                f"COLMAP cannot read the name '{image.name}' from text files", todo="Write binary files"
+            )
     with disk_errors(folder, "writing"):
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".model.", suffix=".tmp") as temporary:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".model.", suffix=".tmp") as name:
+            temporary = Path(name)
             if binary:
                 reconstruction.write_binary(temporary)
             else:
                 reconstruction.write_text(temporary)
             try:
-                read_model(Path(temporary))
+                read_model(temporary)
             except DataError as error:
                 # COLMAP's writers do not notice a full disk.
                 raise RunError(
-                    f"The model was not written to {folder}", found=str(error), todo="Is the disk full?"
+                    f"The model in {folder} could not be written to its end",
+                    found=f"{shutil.disk_usage(folder).free / 2**20:.1f} MiB free",
+                    todo="Free some space, or choose another folder. What was there is kept",
                 ) from error
-            remove_model(folder)
-            # The points come last: without them a half moved model is none.
-            for name in _MODEL_FILES:
-                if (Path(temporary) / name).exists():
-                    (Path(temporary) / name).replace(folder / name)
+            yield lambda: _move_model(temporary, folder)
+
+
+def _move_model(source: Path, folder: Path) -> None:
+    remove_model(folder)
+    # The points come last: without them a half moved model is none.
+    for name in _MODEL_FILES:
+        if (source / name).exists():
+            (source / name).replace(folder / name)
 
 
 def remove_model(folder: Path) -> None:

@@ -107,7 +107,7 @@ def checked_camera(model: str, width: int, height: int, params: Iterable[float],
     try:
         return ColmapCamera(model, width, height, tuple(params))
     except DataError as error:
-        raise DataError(f"The camera in {where} is damaged", found=str(error)) from error
+        raise DataError(f"The camera in {where} is damaged", found=str(error).rstrip(".")) from error
 
 
 def checked_pose(pose: Sequence[float], where: str) -> RigidTransform:
@@ -141,8 +141,8 @@ def check_model(model: Model, place: Path | str) -> None:
     Raises
     ------
     DataError
-        For non-finite numbers, points of one number, images without camera, and tracks and keypoints that do
-        not name each other.
+        For non-finite numbers, points of one number, images without camera or with an odd name, and tracks and
+        keypoints that do not name each other.
     """
     points = model.points
     if not (np.isfinite(points.xyz).all() and np.isfinite(points.error).all()):
@@ -150,6 +150,7 @@ def check_model(model: Model, place: Path | str) -> None:
     if np.any(points.ids[1:] == points.ids[:-1]):
         raise DataError(f"The model in {place} has two points of one number")
     for image in model.images.values():
+        check_name(image.name)
         if image.camera_id not in model.cameras:
             raise DataError(
                 f"Image '{image.name}' in {place} has no camera",

@@ -71,28 +71,15 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
         return _scene_folder(folder, check, progress)
     photos = scene_from_photos(folder, check=check, progress=progress)
     scene = photos.scene.with_every_nth_as_test(_TEST_EVERY)
+    warnings = photos.warnings
     models = _models(folder)
+    if (folder / "sparse").is_dir() and not models:
+        warnings += ("sparse/ holds no COLMAP model (cameras, images and points3D) and was left out",)
     if models and (folder / "images").is_dir():
-        # COLMAP's world is its own: the priors and the georeference are not in it.
-        bare = scene.replace(
-            frames=tuple(dataclasses.replace(frame, prior=None) for frame in scene.frames), georeference=None
-        )
-        found = [scene_like(read_model(model), scene.image_dir, bare) for model in models]
-        best = max(range(len(found)), key=lambda i: len(found[i].registered))
-        reference = found[best]
-        taken = tuple(
-            dataclasses.replace(frame, camera_id=known.camera_id)
-            for frame, known in zip(scene.frames, reference.frames, strict=True)
-        )
-        _check_sizes(reference)
-        warnings = photos.warnings
-        if len(models) > 1:
-            count = f"{len(reference.registered)} of {len(scene)} images"
-            warnings += (f"of {len(models)} models in sparse/ {models[best].name} was taken, with {count}",)
-        return Capture(scene.replace(frames=taken, cameras=reference.cameras), reference, warnings)
+        return _colmap_folder(scene, models, warnings)
     if (folder / strecha.FOLDER).is_dir():
-        return Capture(scene, strecha.with_truth(scene, folder / strecha.FOLDER), photos.warnings)
-    return Capture(scene, None, photos.warnings)
+        return Capture(scene, strecha.with_truth(scene, folder / strecha.FOLDER), warnings)
+    return Capture(scene, None, warnings)
 
 
 def _scene_folder(folder: Path, check: bool, progress: Progress) -> Capture:
@@ -104,6 +91,25 @@ def _scene_folder(folder: Path, check: bool, progress: Progress) -> Capture:
         for frame in track(full.frames, "photos", progress):
             check_picture(full.image_path(frame))
     return Capture(full.without_poses(), full if full.registered else None)
+
+
+def _colmap_folder(scene: Scene, models: list[Path], warnings: tuple[str, ...]) -> Capture:
+    """Return photos with the model that registered most of them as their reference."""
+    # COLMAP's world is its own: the priors and the georeference are not in it.
+    frames = tuple(dataclasses.replace(frame, prior=None) for frame in scene.frames)
+    bare = scene.replace(frames=frames, georeference=None)
+    found = [scene_like(read_model(model), scene.image_dir, bare) for model in models]
+    best = max(range(len(found)), key=lambda i: len(found[i].registered))
+    reference = found[best]
+    _check_sizes(reference)
+    if len(models) > 1:
+        count = f"{len(reference.registered)} of {len(scene)} images"
+        warnings += (f"of {len(models)} models in sparse/ {models[best].name} was taken, with {count}",)
+    frames = tuple(
+        dataclasses.replace(frame, camera_id=known.camera_id)
+        for frame, known in zip(scene.frames, reference.frames, strict=True)
+    )
+    return Capture(scene.replace(frames=frames, cameras=reference.cameras), reference, warnings)
 
 
 def _models(folder: Path) -> list[Path]:

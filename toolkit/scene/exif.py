@@ -49,7 +49,7 @@ def read_tags(picture: Image.Image) -> PhotoTags:
         # Pillow warns of some damages and raises for others; here both are doubts.
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            exif = picture.getexif()
+            exif = _exif(picture)
             base, photo = dict(exif), dict(exif.get_ifd(ExifTags.IFD.Exif))
             gps = dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
     except (OSError, SyntaxError, ValueError, LookupError, TypeError, AttributeError, struct.error):
@@ -66,6 +66,16 @@ def read_tags(picture: Image.Image) -> PhotoTags:
     except _Doubtful as error:
         doubts.append(f"GPS position left out: {error}")
     return replace(tags, doubts=tuple(doubts))
+
+
+def _exif(picture: Image.Image) -> Image.Exif:
+    """Return the tags, parsed again where they are a block of their own, so that every damage is heard of."""
+    block = picture.info.get("exif")
+    if not isinstance(block, bytes):
+        return picture.getexif()
+    exif = Image.Exif()
+    exif.load(block)
+    return exif
 
 
 def _text(value: Any) -> str:

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -17,7 +20,7 @@ import numpy as np
 from toolkit.errors import DataError
 from toolkit.files import atomic_path, disk_errors, read_json, write_json
 from toolkit.progress import Progress, silent, track
-from toolkit.scene.colmap import remove_model, scene_like, scene_to_pycolmap, write_model
+from toolkit.scene.colmap import remove_model, scene_like, scene_to_pycolmap, staged_model
 from toolkit.scene.colmap_files import read_model
 from toolkit.scene.records import (
     camera_from_record,
@@ -39,7 +42,8 @@ _SPARSE = "sparse/0"
 def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progress: Progress = silent) -> None:
     """Write a scene as a folder that :func:`read_scene` and COLMAP open.
 
-    ``scene.json`` goes first and is written last, so that a folder whose writing was cut short is no scene.
+    The old ``scene.json`` goes before anything else changes and the new one is written last, so that a folder whose
+    writing was cut short is no scene.
     Rotations are stored as quaternions (equal to about 1e-15); all other numbers to the bit. Observations in
     frames without a pose are not kept.
 
@@ -65,17 +69,16 @@ def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progre
         When the disk is full or the folder may not be written.
     """
     record = _record(scene, folder, copy_images)
-    model = scene_to_pycolmap(scene) if record["sparse"] else None
-    with disk_errors(folder, "writing"):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / SCENE_FILE).unlink(missing_ok=True)
-    if copy_images:
-        _copy_pictures(scene, folder, progress)
-    if model is None:
+    with ExitStack() as staged:
+        move_in: Callable[[], None] = partial(remove_model, folder / _SPARSE)
+        if record["sparse"]:
+            move_in = staged.enter_context(staged_model(scene_to_pycolmap(scene), folder / _SPARSE))
         with disk_errors(folder, "writing"):
-            remove_model(folder / _SPARSE)
-    else:
-        write_model(model, folder / _SPARSE)
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / SCENE_FILE).unlink(missing_ok=True)
+            if copy_images:
+                _copy_pictures(scene, folder, progress)
+            move_in()
     write_json(folder / SCENE_FILE, record)
 
 
@@ -154,7 +157,7 @@ def read_scene(folder: Path) -> Scene:
             georeference=georeference_from_record(record.get("georeference"), str(path)),
         )
     except DataError as error:
-        raise DataError(f"{path} holds no scene", found=str(error)) from error
+        raise DataError(f"{path} holds no scene", found=str(error).rstrip(".")) from error
     hints = field(record, "points", dict, str(path), optional=True)
     if field(record, "sparse", str, str(path), optional=True) is None:
         return scene

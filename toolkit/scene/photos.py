@@ -101,12 +101,12 @@ def photo_names(image_dir: Path) -> list[str]:
     Raises
     ------
     DataError
-        Where there is no folder, no photo in it, or a photo's name cannot be stored.
+        Where there is no folder, no photo in it, a folder cannot be read or a photo's name cannot be stored.
     """
     if not image_dir.is_dir():
         raise DataError(f"Folder {image_dir} is missing", expected="a folder with photos")
     names = []
-    for place, folders, files in os.walk(image_dir):
+    for place, folders, files in os.walk(image_dir, onerror=_unreadable):
         inside = Path(place).relative_to(image_dir)
         folders[:] = [
             name for name in folders if not name.startswith(".") and (inside / name).as_posix() != "masks"
@@ -125,6 +125,10 @@ def photo_names(image_dir: Path) -> list[str]:
     for name in names:
         check_name(name)
     return sorted(names, key=_natural)
+
+
+def _unreadable(error: OSError) -> None:
+    raise DataError(f"Cannot read folder {error.filename}", found=str(error)) from error
 
 
 def _natural(name: str) -> tuple[list[tuple[int, str]], str]:

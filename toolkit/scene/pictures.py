@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,8 +35,12 @@ def open_picture(path: Path) -> Iterator[Image.Image]:
         Where the file is missing, empty, no picture, cut off or damaged; the message names the file.
     """
     try:
-        with Image.open(path, formats=_FORMATS) as picture:
-            yield picture
+        # Pillow warns of odd tags and of pictures above 90 megapixels; what it cannot decode it raises.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path, formats=_FORMATS) as picture:
+                yield picture
     except FileNotFoundError as error:
         raise DataError(f"Picture {path} is missing", todo="Put it back or take it out of the scene") from error
     except UnidentifiedImageError as error:

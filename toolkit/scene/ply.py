@@ -208,7 +208,9 @@ def _check_elements(elements: list[_Element], path: Path) -> None:
     names = [element.name for element in elements]
     if names.count("vertex") != 1:
         raise DataError(
-            f"{path} has no vertices", expected="one element 'vertex'", found=", ".join(names) or "none"
+            f"{path} has vertices twice" if "vertex" in names else f"{path} has no vertices",
+            expected="one element 'vertex'",
+            found=", ".join(names) or "no element",
         )
     upto = elements[: names.index("vertex") + 1]
     for element in upto:
@@ -223,8 +225,11 @@ def _check_elements(elements: list[_Element], path: Path) -> None:
 
 
 def _ascii(path: Path, start: int, before: list[_Element], vertex: _Element, last: bool) -> NDArray[Any]:
-    rows = [line.split() for line in path.read_bytes()[start:].splitlines()]
-    rows = [words for words in rows if words]
+    body = path.read_bytes()[start:]
+    if body and not body.endswith(b"\n"):
+        # The last number may have lost digits and still be one.
+        raise _cut_off(path, "a line break after the last line", repr(body[-20:]))
+    rows = [words for words in map(bytes.split, body.split(b"\n")) if words]
     first = sum(element.count for element in before)
     taken = rows[first : first + vertex.count]
     if len(taken) < vertex.count:

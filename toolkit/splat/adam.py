@@ -11,11 +11,11 @@ from typing import Final
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.splat.cpu.threads import FAST, launching
+from toolkit.splat.cpu.kernels import launching, reordering_parallel_kernel
 
 BETA1: Final = 0.9
 BETA2: Final = 0.999
@@ -62,7 +62,7 @@ def _flat(tensor: Tensor) -> Floats:
     return tensor.detach().view(-1).numpy()
 
 
-@njit(parallel=True, fastmath=FAST, error_model="numpy", cache=True)
+@reordering_parallel_kernel
 def _update_blocks(
     parameter: Floats,
     first: Floats,

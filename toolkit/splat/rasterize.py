@@ -20,7 +20,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from toolkit.errors import CapabilityError, DataError
+from toolkit.errors import CapabilityError, DataError, SettingsError
 from toolkit.splat.gaussians import Gaussians
 
 Kind = Literal["3d", "2d"]
@@ -79,7 +79,7 @@ class RasterSettings:
     sh_degree:
         Degree up to which spherical harmonics are used; None: all that are stored.
     near:
-        Smallest camera depth that is drawn, in scene units.
+        Smallest camera depth that is drawn, in scene units; more than zero.
     backend:
         ``"reference"`` (float32 or float64 PyTorch, slow, readable), ``"cpu"`` (float32 numba) or ``"cuda"``.
     """
@@ -88,6 +88,10 @@ class RasterSettings:
     sh_degree: int | None = None
     near: float = 0.01
     backend: BackendName = "cpu"
+
+    def __post_init__(self) -> None:
+        if not self.near > 0:
+            raise SettingsError("near is out of range", expected="more than 0", found=str(self.near))
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +150,8 @@ def rasterize(
     ------
     CapabilityError
         Where the backend cannot do what the settings ask. Nothing is substituted.
+    DataError
+        Where the background is no colour.
     """
     chosen = settings if settings is not None else RasterSettings()
     if chosen.sh_degree is not None and not 0 <= chosen.sh_degree <= gaussians.sh_degree:
@@ -156,6 +162,8 @@ def rasterize(
         )
     if background is None:
         background = gaussians.means.new_zeros(3)
+    if background.shape != (3,):
+        raise DataError("background is no colour", expected="shape (3,)", found=f"shape {tuple(background.shape)}")
     return _backend(chosen)(gaussians, views, chosen, background)
 
 

@@ -15,17 +15,17 @@ from torch.autograd.function import once_differentiable
 from toolkit.errors import CapabilityError
 from toolkit.splat.cpu.backward import blend_backward
 from toolkit.splat.cpu.forward import blend
+from toolkit.splat.cpu.kernels import launching
 from toolkit.splat.cpu.projection import camera_rows, project
 from toolkit.splat.cpu.projection_backward import project_backward
-from toolkit.splat.cpu.threads import launching
 from toolkit.splat.cpu.tiles import TileLists, build_tile_lists
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.rasterize import RasterSettings, RenderOutput, Views
 
+Array = np.ndarray[Any, Any]
 
-def rasterize_cpu(
-    gaussians: Gaussians, views: Views, settings: RasterSettings, background: Tensor
-) -> RenderOutput:
+
+def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, background: Tensor) -> RenderOutput:
     """Draw Gaussians on all CPU cores; see :func:`toolkit.splat.rasterize.rasterize` for the arguments.
 
     Images and gradients are the same to the bit whatever the number of threads.
@@ -35,7 +35,7 @@ def rasterize_cpu(
     CapabilityError
         Where the Gaussians are not float32 or not on the CPU.
     """
-    _check(gaussians)
+    _check(gaussians, views, background)
     degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
     means2d, splats, factors, radii = _Project.apply(
         gaussians.means,
@@ -53,9 +53,11 @@ def rasterize_cpu(
     return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d)
 
 
-def _check(gaussians: Gaussians) -> None:
-    for name, tensor in gaussians.named():
-        if tensor.dtype != torch.float32:
+def _check(gaussians: Gaussians, views: Views, background: Tensor) -> None:
+    parameters = dict(gaussians.named())
+    others = {"cam_from_world": views.cam_from_world, "intrinsics": views.intrinsics, "background": background}
+    for name, tensor in (parameters | others).items():
+        if name in parameters and tensor.dtype != torch.float32:
             raise CapabilityError(
                 f"Backend 'cpu' cannot draw {name} in this precision",
                 expected="float32",
@@ -71,10 +73,23 @@ def _check(gaussians: Gaussians) -> None:
             )
 
 
-def _array(tensor: Tensor) -> np.ndarray[Any, Any]:
+def _array(tensor: Tensor) -> Array:
     """Return the tensor's contiguous memory."""
-    array: np.ndarray[Any, Any] = tensor.detach().contiguous().numpy()
+    array: Array = tensor.detach().contiguous().numpy()
     return array
+
+
+def _flat(
+    means: Tensor, quaternions: Tensor, log_scales: Tensor, logits: Tensor, sh: Tensor
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the parameters as matrices with a row for each Gaussian."""
+    return (
+        _array(means),
+        _array(quaternions),
+        _array(log_scales),
+        _array(logits).reshape(-1, 1),
+        _array(sh).reshape(len(sh), 3 * sh.shape[1]),
+    )
 
 
 class _Project(torch.autograd.Function):
@@ -94,19 +109,13 @@ class _Project(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         count, number = len(means), len(cam_from_world)
         near, degree = near_and_degree
-        parameters = (
-            _array(means),
-            _array(quaternions),
-            _array(log_scales),
-            _array(logits).reshape(count, 1),
-            _array(sh).reshape(count, 3 * sh.shape[1]),
-        )
+        parameters = _flat(means, quaternions, log_scales, logits, sh)
         cameras = camera_rows(_array(cam_from_world), _array(views.intrinsics), views.width, views.height)
-        means2d, splats, factors = (torch.empty(number, count, columns) for columns in (2, 8, 4))
-        radii = torch.empty(number, count, 1, dtype=torch.int32)
+        means2d, splats, factors = (means.new_empty(number, count, columns) for columns in (2, 8, 4))
+        radii = means.new_empty(number, count, 1, dtype=torch.int32)
         size = (views.width, views.height, float(near), degree)
         with launching():
-            project(cameras, size, *parameters, *(_array(tensor) for tensor in (means2d, splats, factors, radii)))
+            project(cameras, size, parameters, (_array(means2d), _array(splats), _array(factors), _array(radii)))
         ctx.save_for_backward(means, quaternions, log_scales, logits, sh, splats)
         ctx.radii, ctx.cameras, ctx.degree = radii, cameras, degree
         flat_radii = radii.reshape(number, count)
@@ -117,13 +126,11 @@ class _Project(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         *parameters, splats = ctx.saved_tensors
-        count = len(parameters[0])
-        flat = tuple(_array(tensor).reshape(count, tensor[0].numel() if count else 0) for tensor in parameters)
         with launching():
             by_parameters, by_pose = project_backward(
                 ctx.cameras,
                 ctx.degree,
-                flat,
+                _flat(*parameters),
                 (_array(splats), _array(ctx.radii)),
                 (_array(gradients[0]), _array(gradients[1])),
             )
@@ -149,50 +156,43 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         width, height = size
         number = len(means2d)
-        colour = torch.empty(number, height, width, 3)
-        alpha, depth, median = (torch.empty(number, height, width) for _ in range(3))
+        colour = splats.new_empty(number, height, width, 3)
+        alpha, depth, median = (splats.new_empty(number, height, width) for _ in range(3))
         lists: list[TileLists] = []
-        used: list[np.ndarray[Any, Any]] = []
-        footprints = [_array(tensor) for tensor in (means2d, splats, factors, radii.unsqueeze(-1))]
-        images = [_array(tensor) for tensor in (colour, alpha, depth, median)]
+        used: list[Array] = []
+        centres, rows, triangles, sizes = (
+            _array(tensor) for tensor in (means2d, splats, factors, radii[..., None])
+        )
+        images = tuple(_array(tensor) for tensor in (colour, alpha, depth, median))
         with launching():
             for c in range(number):
-                view = build_tile_lists(*(array[c] for array in footprints), width, height)
-                looked_at = np.empty(view.columns * view.rows, dtype=np.int64)
-                blend(
-                    view.starts,
-                    view.entries,
-                    view.records,
-                    view.columns,
-                    _array(background),
-                    *(image[c] for image in images),
-                    looked_at,
-                )
+                view = build_tile_lists(centres[c], rows[c], triangles[c], sizes[c], width, height)
                 lists.append(view)
-                used.append(looked_at)
-        ctx.save_for_backward(splats, colour, alpha, depth)
-        ctx.lists, ctx.used = lists, used
+                used.append(
+                    blend(view, _array(background), (images[0][c], images[1][c], images[2][c], images[3][c]))
+                )
+        ctx.save_for_backward(colour, alpha, depth)
+        ctx.lists, ctx.used, ctx.shape = lists, used, means2d.shape[:2]
         ctx.mark_non_differentiable(median)
         return colour, alpha, depth, median
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        splats, colour, alpha, depth = ctx.saved_tensors
-        by_means2d, by_splats = torch.zeros(*splats.shape[:2], 2), torch.zeros_like(splats)
+        colour, alpha, depth = ctx.saved_tensors
+        by_means2d, by_splats = colour.new_zeros(*ctx.shape, 2), colour.new_zeros(*ctx.shape, 8)
         by_background = np.zeros(3)
         images = [_array(tensor) for tensor in (colour, alpha, depth)]
         by_images = [_array(tensor) for tensor in gradients[:3]]
-        arrays = [_array(tensor) for tensor in (splats, by_means2d, by_splats)]
+        arrays = [_array(tensor) for tensor in (by_means2d, by_splats)]
         with launching():
             for c, (lists, used) in enumerate(zip(ctx.lists, ctx.used, strict=True)):
                 by_background += blend_backward(
                     lists,
                     used,
-                    arrays[0][c],
                     (images[0][c], images[1][c], images[2][c]),
                     (by_images[0][c], by_images[1][c], by_images[2][c]),
+                    arrays[0][c],
                     arrays[1][c],
-                    arrays[2][c],
                 )
         return by_means2d, by_splats, torch.from_numpy(by_background).to(torch.float32), None, None, None

@@ -17,36 +17,27 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from toolkit.splat.cpu.footprint import FIRST_RUN, MOST_RUNS, PIXELS, STRIDE, list_runs
 from toolkit.splat.cpu.forward import clear_transmittance, scattered
+from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import HALF_LOG2_E_ROOT, LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import (
-    exp2,
-    fma,
-    fnma,
-    lanes,
-    load,
-    select,
-    smaller,
-    some,
-    splat,
-    store,
-    store_row,
-    sums,
-    total,
-)
+from toolkit.splat.cpu.simd import exp2, fma, fnma, lanes, select, smaller, some, splat, sums, total
+from toolkit.splat.cpu.simd_memory import load, prefetch, store, store_row
 from toolkit.splat.cpu.tiles import (
+    AHEAD,
     BLUE,
     DEPTH,
     FACTOR_XX,
     FACTOR_YX,
     FACTOR_YY,
     GREEN,
+    OPACITY,
     RED,
     TILE_HEIGHT,
     TILE_WIDTH,
+    TileLists,
 )
 from toolkit.splat.rasterize import ALPHA_MAX, TRANSMITTANCE_MIN
 
@@ -56,7 +47,7 @@ Array = np.ndarray[Any, Any]
 SLOT = 10
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _load_pixels(
     left: int,
     top: int,
@@ -65,9 +56,10 @@ def _load_pixels(
     planes: tuple[Array, Array, Array, Array, Array],
     background_gradient: Array,
 ) -> None:
-    """Fill a tile's planes: the part of S still to come, dL/dcolour (3), dL/d(sum of w depth); sum the background's.
+    """Fill a tile's planes: the part of S still to come, dL/dcolour (3), dL/d(sum of w depth).
 
-    ``images`` and ``gradients`` are colour, alpha and depth, and the gradients by them.
+    ``images`` and ``gradients`` are colour, alpha and depth, and the gradients by them. The gradient by the
+    background (3,) is summed on the way.
     """
     colour, alpha, depth = images
     colour_gradient, alpha_gradient, depth_gradient = gradients
@@ -89,7 +81,7 @@ def _load_pixels(
             background_gradient[2] += left_over * blue
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _blend_tile_backward(
     left: int,
     top: int,
@@ -103,25 +95,19 @@ def _blend_tile_backward(
     """Fill the slots of the entries of one tile."""
     height, width = images[1].shape
     places = np.empty(MOST_RUNS, dtype=np.int32)
-    us, vs, limits = (
-        np.empty(MOST_RUNS, dtype=np.float32),
-        np.empty(MOST_RUNS, dtype=np.float32),
-        np.empty(MOST_RUNS, dtype=np.float32),
-    )
-    transmittance, rests = np.empty(PIXELS, dtype=np.float32), np.zeros(PIXELS, dtype=np.float32)
-    reds, greens, blues, depths = (
-        np.zeros(PIXELS, dtype=np.float32),
-        np.zeros(PIXELS, dtype=np.float32),
-        np.zeros(PIXELS, dtype=np.float32),
-        np.zeros(PIXELS, dtype=np.float32),
-    )
+    us, vs = np.empty(MOST_RUNS, dtype=np.float32), np.empty(MOST_RUNS, dtype=np.float32)
+    limits = np.empty(MOST_RUNS, dtype=np.float32)
+    transmittance, planes = np.empty(PIXELS, dtype=np.float32), np.zeros((5, PIXELS), dtype=np.float32)
+    rests, reds, greens, blues, depths = planes[0], planes[1], planes[2], planes[3], planes[4]
     clear_transmittance(transmittance, min(TILE_WIDTH, width - left), min(TILE_HEIGHT, height - top))
     _load_pixels(left, top, images, gradients, (rests, reds, greens, blues, depths), background_gradient)
     for entry in range(len(entries)):
         rank = np.uint64(entries[entry, 0])
+        prefetch(records, entries[min(entry + AHEAD, len(entries) - 1), 0])
         end = list_runs(records, rank, left, top, places, us, vs, limits)
         across = lanes() * records[rank, FACTOR_XX]
-        red, green, blue, z = splat(records[rank, RED]), splat(records[rank, GREEN]), splat(records[rank, BLUE]), splat(records[rank, DEPTH])
+        red, green = splat(records[rank, RED]), splat(records[rank, GREEN])
+        blue, z = splat(records[rank, BLUE]), splat(records[rank, DEPTH])
         zero, one = splat(0.0), splat(1.0)
         d_red, d_green, d_blue, d_depth = zero, zero, zero, zero
         g_sum, g_u, g_v, g_uu, g_uv, g_vv = zero, zero, zero, zero, zero, zero
@@ -139,18 +125,18 @@ def _blend_tile_backward(
             drawn = hit & (after > TRANSMITTANCE_MIN)
             finished = drawn ^ hit
             weight = select(drawn, before * a, zero)
-            by_red, by_green, by_blue, by_depth = (
-                load(reds, place),
-                load(greens, place),
-                load(blues, place),
-                load(depths, place),
-            )
+            by_red, by_green = load(reds, place), load(greens, place)
+            by_blue, by_depth = load(blues, place), load(depths, place)
             q = fma(red, by_red, fma(green, by_green, fma(blue, by_blue, z * by_depth)))
             rest = fnma(weight, q, load(rests, place))
             store(rests, place, rest)
             d_alpha = fma(before, q, zero - rest / (one - a))
             g = select(drawn & (uncapped <= ALPHA_MAX), d_alpha * a, zero)
-            d_red, d_green, d_blue = fma(weight, by_red, d_red), fma(weight, by_green, d_green), fma(weight, by_blue, d_blue)
+            d_red, d_green, d_blue = (
+                fma(weight, by_red, d_red),
+                fma(weight, by_green, d_green),
+                fma(weight, by_blue, d_blue),
+            )
             d_depth = fma(weight, by_depth, d_depth)
             v = splat(vs[k])
             gu, gv = g * u, g * v
@@ -165,7 +151,7 @@ def _blend_tile_backward(
         slots[slot, np.uint64(8)], slots[slot, np.uint64(9)] = total(g_uv), total(g_vv)
 
 
-@njit(error_model="numpy", cache=True, parallel=True)
+@parallel_kernel
 def _blend_backward(
     starts: Array,
     entries: Array,
@@ -190,18 +176,21 @@ def _blend_backward(
                 slots[entries[entry, 1], k] = np.float32(0)
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _add_slots(
     rank: int,
-    i: int,
+    order: Array,
     first_slots: Array,
     slots: Array,
     records: Array,
-    splats: Array,
     by_means2d: Array,
     by_splats: Array,
 ) -> None:
-    """Add up the slots of Gaussian i, at its rank, and turn them into gradients by its footprint."""
+    """Add up the slots of the Gaussian at this rank and turn them into gradients by its footprint."""
+    ahead = np.uint64(order[min(rank + AHEAD, len(order) - 1)])
+    prefetch(by_means2d, ahead)
+    prefetch(by_splats, ahead)
+    i = np.uint64(order[rank])
     red, green, blue, depth = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
     g, u, v = np.float32(0), np.float32(0), np.float32(0)
     uu, uv, vv = np.float32(0), np.float32(0), np.float32(0)
@@ -219,28 +208,26 @@ def _add_slots(
     by_splats[i, 0] = half * xx * xx * uu
     by_splats[i, 1] = np.float32(2) * half * xx * (yx * uu + yy * uv)
     by_splats[i, 2] = half * (yx * yx * uu + np.float32(2) * yx * yy * uv + yy * yy * vv)
-    by_splats[i, 3] = g / splats[i, 3]
+    by_splats[i, 3] = g / records[rank, OPACITY]
     by_splats[i, 4], by_splats[i, 5], by_splats[i, 6], by_splats[i, 7] = depth, red, green, blue
 
 
-@njit(error_model="numpy", cache=True, parallel=True)
+@parallel_kernel
 def _add_all_slots(
     order: Array,
     first_slots: Array,
     slots: Array,
     records: Array,
-    splats: Array,
     by_means2d: Array,
     by_splats: Array,
 ) -> None:
     for rank in prange(len(order)):
-        _add_slots(rank, np.uint64(order[rank]), first_slots, slots, records, splats, by_means2d, by_splats)
+        _add_slots(np.int64(rank), order, first_slots, slots, records, by_means2d, by_splats)
 
 
 def blend_backward(
-    lists: Any,
+    lists: TileLists,
     used: Array,
-    splats: Array,
     images: tuple[Array, Array, Array],
     gradients: tuple[Array, Array, Array],
     means2d_gradient: Array,
@@ -252,8 +239,6 @@ def blend_backward(
     ----------
     lists, used:
         :class:`toolkit.splat.cpu.tiles.TileLists` and the number of entries that the forward pass used.
-    splats:
-        (N, 8) of the view.
     images, gradients:
         Colour (H, W, 3), alpha (H, W), expected depth (H, W), and the loss's gradients by them; contiguous.
     means2d_gradient, splats_gradient:
@@ -269,7 +254,5 @@ def blend_backward(
     _blend_backward(
         lists.starts, lists.entries, used, lists.records, lists.columns, images, gradients, slots, background
     )
-    _add_all_slots(
-        lists.order, lists.first_slots, slots, lists.records, splats, means2d_gradient, splats_gradient
-    )
+    _add_all_slots(lists.order, lists.first_slots, slots, lists.records, means2d_gradient, splats_gradient)
     return background.sum(axis=0, dtype=np.float64)

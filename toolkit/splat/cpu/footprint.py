@@ -8,10 +8,24 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from toolkit.splat.cpu.kernels import inlined_kernel
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import LANES, bits, ceiling, floor, fnma, lanes, larger, lowest, ones, root, smaller, splat, store
+from toolkit.splat.cpu.simd import (
+    LANES,
+    bits,
+    ceiling,
+    floor,
+    fnma,
+    lanes,
+    larger,
+    lowest,
+    ones,
+    root,
+    smaller,
+    splat,
+)
+from toolkit.splat.cpu.simd_memory import store
 from toolkit.splat.cpu.tiles import (
     FACTOR_XX,
     FACTOR_YX,
@@ -36,10 +50,10 @@ FIRST_RUN = LANES
 MOST_RUNS = FIRST_RUN + TILE_HEIGHT * (TILE_WIDTH // LANES) + LANES
 
 
-@njit(error_model="numpy", cache=True, forceinline=True)
+@inlined_kernel
 def list_runs(
     records: Array, rank: int, left: int, top: int, places: Array, us: Array, vs: Array, limits: Array
-) -> int:
+) -> np.uint64:
     """Find the runs of eight pixels that cover one Gaussian's footprint in one tile.
 
     Parameters
@@ -55,7 +69,7 @@ def list_runs(
 
     Returns
     -------
-    int
+    np.uint64
         One past the last run.
     """
     xx, yx, yy = records[rank, FACTOR_XX], records[rank, FACTOR_YX], records[rank, FACTOR_YY]

@@ -5,25 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from toolkit.splat.cpu.footprint import FIRST_RUN, MOST_RUNS, PIXELS, STRIDE, list_runs
+from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import (
-    bits,
-    exp2,
-    fma,
-    fnma,
-    lanes,
-    load,
-    ones,
-    select,
-    smaller,
-    some,
-    splat,
-    store,
-)
+from toolkit.splat.cpu.simd import bits, exp2, fma, fnma, lanes, ones, select, smaller, some, splat
+from toolkit.splat.cpu.simd_memory import load, prefetch, store
 from toolkit.splat.cpu.tiles import (
+    AHEAD,
     BLUE,
     DEPTH,
     FACTOR_XX,
@@ -31,13 +21,14 @@ from toolkit.splat.cpu.tiles import (
     RED,
     TILE_HEIGHT,
     TILE_WIDTH,
+    TileLists,
 )
 from toolkit.splat.rasterize import ALPHA_MAX, TRANSMITTANCE_MIN
 
 Array = np.ndarray[Any, Any]
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def clear_transmittance(transmittance: Array, width: int, height: int) -> int:
     """Set a tile's transmittance to one, to minus one (finished) beyond the image; return its number of pixels.
 
@@ -49,44 +40,37 @@ def clear_transmittance(transmittance: Array, width: int, height: int) -> int:
     return width * height
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _blend_tile(
     left: int,
     top: int,
     records: Array,
     entries: Array,
     background: Array,
-    colour: Array,
-    alpha: Array,
-    depth: Array,
-    median: Array,
+    images: tuple[Array, Array, Array, Array],
 ) -> int:
     """Blend one tile; return how many of its entries were used before all its pixels were finished.
 
     A pixel is finished when its transmittance is negative; its size is what was left.
     """
+    colour, alpha, depth, median = images
     height, width = alpha.shape
     tile_width, tile_height = min(TILE_WIDTH, width - left), min(TILE_HEIGHT, height - top)
     places = np.empty(MOST_RUNS, dtype=np.int32)
-    us, vs, limits = (
-        np.empty(MOST_RUNS, dtype=np.float32),
-        np.empty(MOST_RUNS, dtype=np.float32),
-        np.empty(MOST_RUNS, dtype=np.float32),
-    )
+    us, vs = np.empty(MOST_RUNS, dtype=np.float32), np.empty(MOST_RUNS, dtype=np.float32)
+    limits = np.empty(MOST_RUNS, dtype=np.float32)
     transmittance = np.empty(PIXELS, dtype=np.float32)
-    reds, greens, blues = (
-        np.zeros(PIXELS, dtype=np.float32),
-        np.zeros(PIXELS, dtype=np.float32),
-        np.zeros(PIXELS, dtype=np.float32),
-    )
-    depths, medians = np.zeros(PIXELS, dtype=np.float32), np.zeros(PIXELS, dtype=np.float32)
+    planes = np.zeros((5, PIXELS), dtype=np.float32)
+    reds, greens, blues, depths, medians = planes[0], planes[1], planes[2], planes[3], planes[4]
     unfinished = clear_transmittance(transmittance, tile_width, tile_height)
     used = len(entries)
     for entry in range(len(entries)):
         rank = np.uint64(entries[entry, 0])
+        prefetch(records, entries[min(entry + AHEAD, len(entries) - 1), 0])
         end = list_runs(records, rank, left, top, places, us, vs, limits)
         across = lanes() * records[rank, FACTOR_XX]
-        red, green, blue, z = splat(records[rank, RED]), splat(records[rank, GREEN]), splat(records[rank, BLUE]), splat(records[rank, DEPTH])
+        red, green = splat(records[rank, RED]), splat(records[rank, GREEN])
+        blue, z = splat(records[rank, BLUE]), splat(records[rank, DEPTH])
         for k in range(np.uint64(FIRST_RUN), end):
             place = places[k]
             before = load(transmittance, place)
@@ -128,7 +112,7 @@ def _blend_tile(
     return used
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def scattered(task: int, tiles: int) -> int:
     """Return the tile that is done as ``task``: neighbours in the image go to different threads.
 
@@ -140,35 +124,41 @@ def scattered(task: int, tiles: int) -> int:
     return task if task >= whole else (task % length) * stripes + task // length
 
 
-@njit(error_model="numpy", cache=True, parallel=True)
-def blend(
+@parallel_kernel
+def _blend(
     starts: Array,
     entries: Array,
     records: Array,
     columns: int,
     background: Array,
-    colour: Array,
-    alpha: Array,
-    depth: Array,
-    median: Array,
+    images: tuple[Array, Array, Array, Array],
     used: Array,
 ) -> None:
-    """Blend all tiles of one view.
-
-    Parameters
-    ----------
-    starts, entries, records, columns:
-        Of :class:`toolkit.splat.cpu.tiles.TileLists`.
-    background:
-        (3,) float32.
-    colour, alpha, depth, median:
-        (H, W, 3), (H, W), (H, W), (H, W) float32, to be filled.
-    used:
-        (T,) int64, to be filled: number of entries of each tile that were looked at.
-    """
+    """Blend all tiles."""
     tiles = len(starts) - 1
     for task in prange(tiles):
         tile = scattered(np.int64(task), tiles)
         left, top = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
-        own = entries[starts[tile] : starts[tile + 1]]
-        used[tile] = _blend_tile(left, top, records, own, background, colour, alpha, depth, median)
+        used[tile] = _blend_tile(left, top, records, entries[starts[tile] : starts[tile + 1]], background, images)
+
+
+def blend(lists: TileLists, background: Array, images: tuple[Array, Array, Array, Array]) -> Array:
+    """Blend one view.
+
+    Parameters
+    ----------
+    lists:
+        Which Gaussians touch which tile.
+    background:
+        (3,) float32.
+    images:
+        Colour (H, W, 3), alpha, expected depth and median depth (H, W), float32, to be filled.
+
+    Returns
+    -------
+    Array
+        (T,) int64: number of entries of each tile that were looked at before all its pixels were finished.
+    """
+    used = np.empty(len(lists.starts) - 1, dtype=np.int64)
+    _blend(lists.starts, lists.entries, lists.records, lists.columns, background, images, used)
+    return used

@@ -1,13 +1,14 @@
-"""Spherical harmonics inside the kernels: :mod:`toolkit.splat.sh` and its derivative, eight directions at a time."""
+"""Spherical harmonics inside the kernels: :mod:`toolkit.splat.sh` and its derivative, for eight directions."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from toolkit.splat.cpu.simd import LANES, load, splat, store
+from toolkit.splat.cpu.kernels import kernel
+from toolkit.splat.cpu.simd import LANES, splat
+from toolkit.splat.cpu.simd_memory import load, store
 from toolkit.splat.gaussians import SH_C0
 from toolkit.splat.sh import (
     SH_C1,
@@ -25,7 +26,7 @@ Array = np.ndarray[Any, Any]
 F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def fill_basis(degree: int, x: F8, y: F8, z: F8, basis: Array) -> None:
     """Write the basis functions in unit directions (x, y, z) into ``basis``: 16 vectors one after the other."""
     store(basis, 0, splat(SH_C0))
@@ -53,7 +54,7 @@ def fill_basis(degree: int, x: F8, y: F8, z: F8, basis: Array) -> None:
     store(basis, 15 * LANES, -SH_C3_3 * x * (xx - 3 * yy))
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def direction_gradient(degree: int, x: F8, y: F8, z: F8, weights: Array) -> tuple[F8, F8, F8]:
     """Return the gradient by (x, y, z) of the sum of 16 ``weights`` (vectors) times the basis functions."""
     gx, gy, gz = splat(0.0), splat(0.0), splat(0.0)

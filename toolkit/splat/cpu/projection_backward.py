@@ -5,21 +5,31 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from toolkit.splat.cpu.harmonics import direction_gradient, fill_basis
+from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import (
+    FOCAL_X,
+    FOCAL_Y,
     GROUP,
+    LEAST_SLOPE_X,
+    LEAST_SLOPE_Y,
+    MOST_SLOPE_X,
+    MOST_SLOPE_Y,
     exp,
+    gather_three,
     plane_rows,
     scaled_axes,
+    sigmoid,
     slopes,
     spread_rows,
     to_camera,
     unit_direction,
     unit_quaternion,
 )
-from toolkit.splat.cpu.simd import LANES, fma, gather, lanes, load, scatter, select, some, splat, store, total
+from toolkit.splat.cpu.simd import LANES, fma, lanes, select, some, splat, total
+from toolkit.splat.cpu.simd_memory import gather, load, scatter, store
 
 Array = np.ndarray[Any, Any]
 F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
@@ -28,7 +38,7 @@ F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python do
 CAMERA = 15
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _spread_gradient(m: tuple[F8, ...], xx: F8, xy: F8, yy: F8) -> tuple[F8, F8, F8, F8, F8, F8]:
     """Return dL/dM from dL/d(covariance xx, xy, yy): M M^T holds xy twice."""
     xx, yy = 2.0 * xx, 2.0 * yy
@@ -42,7 +52,7 @@ def _spread_gradient(m: tuple[F8, ...], xx: F8, xy: F8, yy: F8) -> tuple[F8, F8,
     )
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _plane_gradient(d: tuple[F8, ...], axes: tuple[F8, ...]) -> tuple[F8, F8, F8, F8, F8, F8]:
     """Return dL/d(J R_cam) = dL/dM (R S)^T."""
     return (
@@ -55,7 +65,7 @@ def _plane_gradient(d: tuple[F8, ...], axes: tuple[F8, ...]) -> tuple[F8, F8, F8
     )
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _axes_gradient(plane: tuple[F8, ...], d: tuple[F8, ...]) -> tuple[F8, ...]:
     """Return dL/d(R S) = (J R_cam)^T dL/dM, row by row."""
     return (
@@ -71,7 +81,7 @@ def _axes_gradient(plane: tuple[F8, ...], d: tuple[F8, ...]) -> tuple[F8, ...]:
     )
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _quaternion_gradient(w: F8, x: F8, y: F8, z: F8, inverse: F8, d: tuple[F8, ...]) -> tuple[F8, F8, F8, F8]:
     """Return the gradient by the quaternion before it was normalised, from dL/dR row by row."""
     dw = 2.0 * (x * (d[7] - d[5]) + y * (d[2] - d[6]) + z * (d[3] - d[1]))
@@ -79,16 +89,21 @@ def _quaternion_gradient(w: F8, x: F8, y: F8, z: F8, inverse: F8, d: tuple[F8, .
     dy = 2.0 * (w * (d[2] - d[6]) + x * (d[3] + d[1]) + z * (d[7] + d[5]) - 2.0 * y * (d[0] + d[8]))
     dz = 2.0 * (w * (d[3] - d[1]) + x * (d[6] + d[2]) + y * (d[7] + d[5]) - 2.0 * z * (d[0] + d[4]))
     along = w * dw + x * dx + y * dy + z * dz
-    return (dw - w * along) * inverse, (dx - x * along) * inverse, (dy - y * along) * inverse, (dz - z * along) * inverse
+    return (
+        (dw - w * along) * inverse,
+        (dx - x * along) * inverse,
+        (dy - y * along) * inverse,
+        (dz - z * along) * inverse,
+    )
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _accumulate(sums: Array, k: int, value: F8) -> None:
     """Add to the k-th vector of ``sums``."""
     store(sums, k * LANES, load(sums, k * LANES) + value)
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _colour_backward(
     i: int,
     degree: int,
@@ -123,7 +138,7 @@ def _colour_backward(
     return direction_gradient(degree, direction[0], direction[1], direction[2], weights)
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _geometry_backward(
     i: int,
     camera: Array,
@@ -136,30 +151,34 @@ def _geometry_backward(
 ) -> tuple[F8, ...]:
     """Return dL/d(R S) (9) and dL/dmean (3) of eight Gaussians in one view, not counting their colours.
 
-    Lanes that are not ``drawn`` hold rubbish. ``camera_sums`` collects the gradients by the camera of those that are.
+    Lanes that are not ``drawn`` hold rubbish. ``camera_sums`` collects the gradients by the camera of the others.
     """
     last, zero = len(means) - 1, splat(0.0)
-    world = gather(means, i, 0, last), gather(means, i, 1, last), gather(means, i, 2, last)
+    world = gather_three(means, i, 0, last)
     x, y, z = to_camera(camera, world[0], world[1], world[2])
     inverse_z = 1.0 / select(drawn, z, splat(1.0))
     slope_x, slope_y = slopes(camera, x, y, inverse_z)
     plane = plane_rows(camera, slope_x, slope_y, inverse_z)
     m = spread_rows(plane, axes)
-    d_m = _spread_gradient(m, gather(by_splat, i, 0, last), gather(by_splat, i, 1, last), gather(by_splat, i, 2, last))
+    d_m = _spread_gradient(
+        m, gather(by_splat, i, 0, last), gather(by_splat, i, 1, last), gather(by_splat, i, 2, last)
+    )
     d_axes = _axes_gradient(plane, d_m)
     d = _plane_gradient(d_m, axes)
 
     # J R_cam has rows (fx / z) (R_0 - slope_x R_2) and (fy / z) (R_1 - slope_y R_2).
-    scale_x, scale_y = camera[15] * inverse_z, camera[16] * inverse_z
+    scale_x, scale_y = camera[FOCAL_X] * inverse_z, camera[FOCAL_Y] * inverse_z
     d_slope_x = (zero - scale_x) * (d[0] * camera[6] + d[1] * camera[7] + d[2] * camera[8])
     d_slope_y = (zero - scale_y) * (d[3] * camera[6] + d[4] * camera[7] + d[5] * camera[8])
-    scaling = d[0] * plane[0] + d[1] * plane[1] + d[2] * plane[2] + d[3] * plane[3] + d[4] * plane[4] + d[5] * plane[5]
+    scaling = (
+        d[0] * plane[0] + d[1] * plane[1] + d[2] * plane[2] + d[3] * plane[3] + d[4] * plane[4] + d[5] * plane[5]
+    )
     # Where the slope is held at its limit it does not depend on the position.
     ratio_x, ratio_y = x * inverse_z, y * inverse_z
-    d_ratio_x = select((ratio_x >= camera[19]) & (ratio_x <= camera[20]), d_slope_x, zero)
-    d_ratio_y = select((ratio_y >= camera[21]) & (ratio_y <= camera[22]), d_slope_y, zero)
-    d_ratio_x = d_ratio_x + camera[15] * gather(by_mean2d, i, 0, last)
-    d_ratio_y = d_ratio_y + camera[16] * gather(by_mean2d, i, 1, last)
+    d_ratio_x = select((ratio_x >= camera[LEAST_SLOPE_X]) & (ratio_x <= camera[MOST_SLOPE_X]), d_slope_x, zero)
+    d_ratio_y = select((ratio_y >= camera[LEAST_SLOPE_Y]) & (ratio_y <= camera[MOST_SLOPE_Y]), d_slope_y, zero)
+    d_ratio_x = d_ratio_x + camera[FOCAL_X] * gather(by_mean2d, i, 0, last)
+    d_ratio_y = d_ratio_y + camera[FOCAL_Y] * gather(by_mean2d, i, 1, last)
     dx, dy = d_ratio_x * inverse_z, d_ratio_y * inverse_z
     dz = gather(by_splat, i, 4, last) - (scaling + d_ratio_x * ratio_x + d_ratio_y * ratio_y) * inverse_z
 
@@ -179,7 +198,7 @@ def _geometry_backward(
     )
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _shade_backward(
     i: int,
     camera: Array,
@@ -200,7 +219,7 @@ def _shade_backward(
         camera, gather(means, i, 0, last), gather(means, i, 1, last), gather(means, i, 2, last)
     )
     colour = (
-        select(drawn & (gather(splats, i, 5, last) > 0.0), gather(by_splat, i, 5, last), zero),
+        select(drawn, gather(by_splat, i, 5, last), zero),
         select(drawn & (gather(splats, i, 6, last) > 0.0), gather(by_splat, i, 6, last), zero),
         select(drawn & (gather(splats, i, 7, last) > 0.0), gather(by_splat, i, 7, last), zero),
     )
@@ -214,7 +233,7 @@ def _shade_backward(
     return by_mean
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _project_eight_backward(
     i: int,
     cameras: Array,
@@ -231,11 +250,8 @@ def _project_eight_backward(
     by_means, by_quaternions, by_log_scales, by_logits, by_sh = gradients
     last, zero = len(means) - 1, splat(0.0)
     w, x, y, z, inverse = unit_quaternion(quaternions, i, last)
-    s0, s1, s2 = (
-        exp(gather(log_scales, i, 0, last)),
-        exp(gather(log_scales, i, 1, last)),
-        exp(gather(log_scales, i, 2, last)),
-    )
+    l0, l1, l2 = gather_three(log_scales, i, 0, last)
+    s0, s1, s2 = exp(l0), exp(l1), exp(l2)
     axes = scaled_axes(w, x, y, z, s0, s1, s2)
     d0, d1, d2, d3, d4, d5, d6, d7, d8 = zero, zero, zero, zero, zero, zero, zero, zero, zero
     dx, dy, dz, d_opacity = zero, zero, zero, zero
@@ -247,7 +263,18 @@ def _project_eight_backward(
         by_splat = by_projected[1][c]
         d = _geometry_backward(i, cameras[c], means, axes, drawn, by_projected[0][c], by_splat, camera_sums[c])
         e = _shade_backward(
-            i, cameras[c], degree, first, means, sh, drawn, by_splat, projected[0][c], by_sh, scratch, camera_sums[c]
+            i,
+            cameras[c],
+            degree,
+            first,
+            means,
+            sh,
+            drawn,
+            by_splat,
+            projected[0][c],
+            by_sh,
+            scratch,
+            camera_sums[c],
         )
         first = False
         d0, d1, d2 = d0 + select(drawn, d[0], zero), d1 + select(drawn, d[1], zero), d2 + select(drawn, d[2], zero)
@@ -273,11 +300,11 @@ def _project_eight_backward(
     scatter(by_quaternions, i, 1, last, by_x)
     scatter(by_quaternions, i, 2, last, by_y)
     scatter(by_quaternions, i, 3, last, by_z)
-    opacity = 1.0 / (1.0 + exp(zero - gather(logits, i, 0, last)))
+    opacity = sigmoid(gather(logits, i, 0, last))
     scatter(by_logits, i, 0, last, d_opacity * opacity * (1.0 - opacity))
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _project_group_backward(
     group: int,
     cameras: Array,
@@ -300,7 +327,7 @@ def _project_group_backward(
             by_cameras[c, k] = total(load(camera_sums[c], k * LANES))
 
 
-@njit(error_model="numpy", cache=True, parallel=True)
+@parallel_kernel
 def _project_backward(
     cameras: Array,
     degree: int,
@@ -328,7 +355,7 @@ def project_backward(
     Parameters
     ----------
     cameras, degree:
-        (C, 23) and the degree of the spherical harmonics, as given to ``project``.
+        The cameras and the degree of the spherical harmonics, as given to ``project``.
     parameters:
         Means, quaternions, log scales, logits and coefficients, as given to ``project``.
     projected:

@@ -2,9 +2,9 @@
 
 Numba leaves vectorising to LLVM, which gives up on the loops of a rasterizer. Here the vectors are values of the
 kernel: ``F8`` (eight float32) and ``M8`` (eight truth values). ``+ - * /`` and comparisons work on them, with plain
-numbers too; what else is needed is a function below. Each is an LLVM vector instruction or a few of them, which LLVM
-turns into what the machine has: AVX2 registers, pairs of NEON registers. No operation is reordered or contracted,
-so that two kernels which write the same formula get the same bits.
+numbers too; what else is needed is a function below. Each is an LLVM vector instruction or a few of them, and LLVM
+makes of them what the machine has: AVX2 registers, pairs of NEON registers. Nothing is reordered or contracted, so
+that two kernels which write the same formula get the same bits.
 
 Numba's cache does not notice a change of this file: remove ``__pycache__`` after editing it.
 """
@@ -22,9 +22,12 @@ from numba.extending import intrinsic, lower_builtin, models, register_model, ty
 
 LANES = 8
 
-_FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-_FLOATS, _INTS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_INT, LANES)
+FLOAT, INT = ir.FloatType(), ir.IntType(32)
+FLOATS, INTS = ir.VectorType(FLOAT, LANES), ir.VectorType(INT, LANES)
 _BITS = ir.VectorType(ir.IntType(1), LANES)
+
+# Makes a function of numba types, and of the LLVM code for them, a function that kernels can call.
+operation: Any = intrinsic
 
 
 class _Vector(types.Type):
@@ -40,22 +43,22 @@ class _VectorModel(models.PrimitiveModel):
     """A vector is a value, kept in a register."""
 
     def __init__(self, manager: Any, kind: _Vector) -> None:
-        super().__init__(manager, kind, _FLOATS if kind == F8 else _BITS)
+        super().__init__(manager, kind, FLOATS if kind == F8 else _BITS)
 
 
 def _constant(value: float) -> ir.Constant:
-    return ir.Constant(_FLOATS, [value] * LANES)
+    return ir.Constant(FLOATS, [value] * LANES)
 
 
 def _splat(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
-    undefined = ir.Constant(_FLOATS, ir.Undefined)
-    single = builder.insert_element(undefined, value, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(single, undefined, ir.Constant(_INTS, [0] * LANES))
+    undefined = ir.Constant(FLOATS, ir.Undefined)
+    single = builder.insert_element(undefined, value, ir.Constant(INT, 0))
+    return builder.shuffle_vector(single, undefined, ir.Constant(INTS, [0] * LANES))
 
 
 def _call(builder: ir.IRBuilder, name: str, *args: ir.Value) -> ir.Value:
     """Call the LLVM intrinsic of this name on vectors of floats."""
-    kind = ir.FunctionType(_FLOATS, [_FLOATS] * len(args))
+    kind = ir.FunctionType(FLOATS, [FLOATS] * len(args))
     function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32")
     return builder.call(function, args)
 
@@ -106,7 +109,7 @@ _operator(operator.xor, M8, M8, lambda builder, a, b: builder.xor(a, b))
 # --- functions on vectors ----------------------------------------------------------------------------------------
 
 
-@intrinsic
+@operation
 def splat(typingctx: Any, value: Any) -> Any:
     """splat(x): F8 with the number x in every lane."""
     return F8(value), lambda context, builder, signature, args: _vector(
@@ -114,19 +117,19 @@ def splat(typingctx: Any, value: Any) -> Any:
     )
 
 
-@intrinsic
+@operation
 def lanes(typingctx: Any) -> Any:
     """lanes(): F8 of 0, 1, ... 7."""
-    return F8(), lambda context, builder, signature, args: ir.Constant(_FLOATS, [float(i) for i in range(LANES)])
+    return F8(), lambda context, builder, signature, args: ir.Constant(FLOATS, [float(i) for i in range(LANES)])
 
 
-@intrinsic
+@operation
 def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     """fma(a, b, c): a b + c, rounded once."""
     return F8(F8, F8, F8), lambda context, builder, signature, args: _call(builder, "fma", *args)
 
 
-@intrinsic
+@operation
 def fnma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     """fnma(a, b, c): c - a b, rounded once."""
     return F8(F8, F8, F8), lambda context, builder, signature, args: _call(
@@ -134,13 +137,13 @@ def fnma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     )
 
 
-@intrinsic
+@operation
 def select(typingctx: Any, mask: Any, a: Any, b: Any) -> Any:
     """select(m, a, b): a where the mask is set, b elsewhere."""
     return F8(M8, F8, F8), lambda context, builder, signature, args: builder.select(*args)
 
 
-@intrinsic
+@operation
 def smaller(typingctx: Any, a: Any, b: Any) -> Any:
     """smaller(a, b): the lesser of each lane; b where one is NaN."""
     return F8(F8, F8), lambda context, builder, signature, args: builder.select(
@@ -148,7 +151,7 @@ def smaller(typingctx: Any, a: Any, b: Any) -> Any:
     )
 
 
-@intrinsic
+@operation
 def larger(typingctx: Any, a: Any, b: Any) -> Any:
     """larger(a, b): the greater of each lane; b where one is NaN."""
     return F8(F8, F8), lambda context, builder, signature, args: builder.select(
@@ -156,32 +159,38 @@ def larger(typingctx: Any, a: Any, b: Any) -> Any:
     )
 
 
-@intrinsic
+@operation
 def root(typingctx: Any, a: Any) -> Any:
     """root(a): square root."""
     return F8(F8), lambda context, builder, signature, args: _call(builder, "sqrt", args[0])
 
 
-@intrinsic
+@operation
 def ceiling(typingctx: Any, a: Any) -> Any:
     """ceiling(a): the next integer up."""
     return F8(F8), lambda context, builder, signature, args: _call(builder, "ceil", args[0])
 
 
-@intrinsic
+@operation
 def floor(typingctx: Any, a: Any) -> Any:
     """floor(a): the next integer down."""
     return F8(F8), lambda context, builder, signature, args: _call(builder, "floor", args[0])
 
 
 # 2^f for |f| <= 1/2, relative error 7.5e-8 (fitted by least squares, weights shifted towards the largest error).
-_EXP2 = (1.0000000716539867, 0.6931469670431798, 0.24022119726104668)
-_EXP2 += (0.05550713308745511, 0.009675541243487521, 0.0013276460597890082)
+_EXP2 = (
+    1.0000000716539867,
+    0.6931469670431798,
+    0.24022119726104668,
+    0.05550713308745511,
+    0.009675541243487521,
+    0.0013276460597890082,
+)
 # Adding this leaves the rounded integer in the lowest bits of the sum.
 _TO_INTEGER = 1.5 * 2.0**23
 
 
-@intrinsic
+@operation
 def exp2(typingctx: Any, x: Any) -> Any:
     """exp2(x): 2^x for -126 < x < 127, relative error below 2e-7; rubbish, but no trap, elsewhere."""
 
@@ -191,23 +200,23 @@ def exp2(typingctx: Any, x: Any) -> Any:
         power = _constant(_EXP2[-1])
         for coefficient in reversed(_EXP2[:-1]):
             power = _call(builder, "fma", power, fraction, _constant(coefficient))
-        exponent = builder.shl(builder.bitcast(shifted, _INTS), ir.Constant(_INTS, [23] * LANES))
-        return builder.bitcast(builder.add(builder.bitcast(power, _INTS), exponent), _FLOATS)
+        exponent = builder.shl(builder.bitcast(shifted, INTS), ir.Constant(INTS, [23] * LANES))
+        return builder.bitcast(builder.add(builder.bitcast(power, INTS), exponent), FLOATS)
 
     return F8(F8), generate
 
 
-@intrinsic
+@operation
 def log2(typingctx: Any, x: Any) -> Any:
     """log2(x): base 2 logarithm of normal positive numbers, absolute error below 1e-6; rubbish elsewhere."""
 
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         # x = m 2^e with m in [sqrt(1/2), sqrt(2)); log m = 2 atanh(s), s = (m - 1) / (m + 1).
-        bits = builder.bitcast(args[0], _INTS)
-        offset = ir.Constant(_INTS, [0x3F3504F3] * LANES)
-        exponent = builder.ashr(builder.sub(bits, offset), ir.Constant(_INTS, [23] * LANES))
-        mantissa = builder.sub(bits, builder.shl(exponent, ir.Constant(_INTS, [23] * LANES)))
-        m = builder.bitcast(mantissa, _FLOATS)
+        bits = builder.bitcast(args[0], INTS)
+        offset = ir.Constant(INTS, [0x3F3504F3] * LANES)
+        exponent = builder.ashr(builder.sub(bits, offset), ir.Constant(INTS, [23] * LANES))
+        mantissa = builder.sub(bits, builder.shl(exponent, ir.Constant(INTS, [23] * LANES)))
+        m = builder.bitcast(mantissa, FLOATS)
         s = builder.fdiv(builder.fsub(m, _constant(1.0)), builder.fadd(m, _constant(1.0)))
         square = builder.fmul(s, s)
         series = _constant(1 / 9)
@@ -215,7 +224,7 @@ def log2(typingctx: Any, x: Any) -> Any:
             series = _call(builder, "fma", series, square, _constant(1 / odd))
         two_over_log2 = 2.8853900817779268
         fraction = builder.fmul(builder.fmul(s, _constant(two_over_log2)), series)
-        return builder.fadd(fraction, builder.sitofp(exponent, _FLOATS))
+        return builder.fadd(fraction, builder.sitofp(exponent, FLOATS))
 
     return F8(F8), generate
 
@@ -227,7 +236,7 @@ def _as_integer(builder: ir.IRBuilder, mask: ir.Value) -> ir.Value:
     return builder.bitcast(mask, ir.IntType(LANES))
 
 
-@intrinsic
+@operation
 def some(typingctx: Any, mask: Any) -> Any:
     """some(m): True where at least one lane is set."""
     return types.boolean(M8), lambda context, builder, signature, args: builder.icmp_unsigned(
@@ -235,15 +244,15 @@ def some(typingctx: Any, mask: Any) -> Any:
     )
 
 
-@intrinsic
+@operation
 def bits(typingctx: Any, mask: Any) -> Any:
     """bits(m): uint32 whose lowest bit is the first lane."""
     return types.uint32(M8), lambda context, builder, signature, args: builder.zext(
-        _as_integer(builder, args[0]), _INT
+        _as_integer(builder, args[0]), INT
     )
 
 
-@intrinsic
+@operation
 def lowest(typingctx: Any, number: Any) -> Any:
     """lowest(n): uint32, the position of the lowest bit of the uint32 n that is set; 32 for zero."""
     return types.uint32(types.uint32), lambda context, builder, signature, args: builder.cttz(
@@ -251,7 +260,7 @@ def lowest(typingctx: Any, number: Any) -> Any:
     )
 
 
-@intrinsic
+@operation
 def ones(typingctx: Any, number: Any) -> Any:
     """ones(n): uint32, how many bits of the uint32 n are set."""
     return types.uint32(types.uint32), lambda context, builder, signature, args: builder.ctpop(args[0])
@@ -262,12 +271,12 @@ def _halves(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, width: int) -> ir.V
     first = [i if i % (2 * width) < width else LANES + i - width for i in range(LANES)]
     second = [i + width if i % (2 * width) < width else LANES + i for i in range(LANES)]
     return builder.fadd(
-        builder.shuffle_vector(a, b, ir.Constant(_INTS, first)),
-        builder.shuffle_vector(a, b, ir.Constant(_INTS, second)),
+        builder.shuffle_vector(a, b, ir.Constant(INTS, first)),
+        builder.shuffle_vector(a, b, ir.Constant(INTS, second)),
     )
 
 
-@intrinsic
+@operation
 def sums(typingctx: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> Any:
     """sums(a, ..., h): F8 of the eight horizontal sums; the order of the additions is fixed."""
 
@@ -279,7 +288,7 @@ def sums(typingctx: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any,
     return F8(*[F8] * 8), generate
 
 
-@intrinsic
+@operation
 def total(typingctx: Any, a: Any) -> Any:
     """total(a): float32 sum of the lanes, halves first; the order of the additions is fixed."""
 
@@ -287,119 +296,7 @@ def total(typingctx: Any, a: Any) -> Any:
         vector = args[0]
         for width in (4, 2, 1):
             order = [(i + width) % LANES for i in range(LANES)]
-            vector = builder.fadd(vector, builder.shuffle_vector(vector, vector, ir.Constant(_INTS, order)))
-        return builder.extract_element(vector, ir.Constant(_INT, 0))
+            vector = builder.fadd(vector, builder.shuffle_vector(vector, vector, ir.Constant(INTS, order)))
+        return builder.extract_element(vector, ir.Constant(INT, 0))
 
     return types.float32(F8), generate
-
-
-# --- memory ------------------------------------------------------------------------------------------------------
-
-
-def _is_plain(kind: Any, ndim: int) -> bool:
-    fits = isinstance(kind, types.Array) and kind.layout == "C" and kind.ndim == ndim
-    return fits and kind.dtype in (types.float32, types.int32)
-
-
-def _vector_address(context: Any, builder: ir.IRBuilder, kind: Any, array: Any, index: Any) -> ir.Value:
-    """Return the address of the vector that starts at array[index]."""
-    data = context.make_array(kind)(context, builder, array).data
-    vectors = _FLOATS if kind.dtype == types.float32 else _INTS
-    return builder.bitcast(builder.gep(data, [index]), vectors.as_pointer())
-
-
-@intrinsic
-def load(typingctx: Any, array: Any, index: Any) -> Any:
-    """load(array, i): F8 of array[i : i + 8]; a contiguous float32 vector, any alignment, not checked."""
-    if not _is_plain(array, 1) or array.dtype != types.float32 or not isinstance(index, types.Integer):
-        return None
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        return builder.load(_vector_address(context, builder, signature.args[0], args[0], args[1]), align=4)
-
-    return F8(array, index), generate
-
-
-@intrinsic
-def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """store(array, i, v): array[i : i + 8] = v, rounded towards zero in an int32 array; see :func:`load`."""
-    if not _is_plain(array, 1) or not isinstance(index, types.Integer) or value != F8:
-        return None
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        whole = signature.args[0].dtype == types.int32
-        item = builder.fptosi(args[2], _INTS) if whole else args[2]
-        builder.store(item, _vector_address(context, builder, signature.args[0], args[0], args[1]), align=4)
-        return context.get_dummy_value()
-
-    return types.void(array, index, value), generate
-
-
-@intrinsic
-def store_row(typingctx: Any, array: Any, row: Any, value: Any) -> Any:
-    """store_row(array, i, v): array[i, :8] = v; a contiguous float32 matrix, not checked."""
-    if not _is_plain(array, 2) or not isinstance(row, types.Integer) or value != F8:
-        return None
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        view = context.make_array(signature.args[0])(context, builder, args[0])
-        index = builder.mul(args[1], builder.extract_value(view.shape, 1))
-        address = builder.bitcast(builder.gep(view.data, [index]), _FLOATS.as_pointer())
-        builder.store(args[2], address, align=4)
-        return context.get_dummy_value()
-
-    return types.void(array, row, value), generate
-
-
-def _lane_addresses(
-    context: Any, builder: ir.IRBuilder, kinds: Any, array: Any, row: Any, column: Any, last: Any
-) -> list[ir.Value]:
-    """Return the addresses of array[min(row + lane, last), column]."""
-    view = context.make_array(kinds[0])(context, builder, array)
-    wide = types.int64
-    row, column, last = (
-        context.cast(builder, value, kind, wide) for value, kind in zip((row, column, last), kinds[1:4], strict=True)
-    )
-    width = builder.extract_value(view.shape, 1)
-    addresses = []
-    for lane in range(LANES):
-        index = builder.add(row, ir.Constant(row.type, lane))
-        index = builder.select(builder.icmp_signed("<", index, last), index, last)
-        addresses.append(builder.gep(view.data, [builder.add(builder.mul(index, width), column)]))
-    return addresses
-
-
-@intrinsic
-def gather(typingctx: Any, array: Any, row: Any, column: Any, last: Any) -> Any:
-    """gather(array, i, k, last): F8 of column k of rows i to i + 7, the last row again beyond it; not checked."""
-    if not _is_plain(array, 2):
-        return None
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        whole = signature.args[0].dtype == types.int32
-        vector = ir.Constant(_INTS if whole else _FLOATS, ir.Undefined)
-        for lane, address in enumerate(_lane_addresses(context, builder, signature.args, *args)):
-            vector = builder.insert_element(vector, builder.load(address), ir.Constant(_INT, lane))
-        return builder.sitofp(vector, _FLOATS) if whole else vector
-
-    return F8(array, row, column, last), generate
-
-
-@intrinsic
-def scatter(typingctx: Any, array: Any, row: Any, column: Any, last: Any, value: Any) -> Any:
-    """scatter(array, i, k, last, v): the reverse of :func:`gather`, rounded towards zero in an int32 array.
-
-    Lanes beyond the last row are written to it too: they must hold what the last row's lane holds, as they do when
-    they were computed from what ``gather`` gave.
-    """
-    if not _is_plain(array, 2) or value != F8:
-        return None
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        whole = signature.args[0].dtype == types.int32
-        items = builder.fptosi(args[4], _INTS) if whole else args[4]
-        for lane, address in enumerate(_lane_addresses(context, builder, signature.args, *args[:4])):
-            builder.store(builder.extract_element(items, ir.Constant(_INT, lane)), address)
-        return context.get_dummy_value()
-
-    return types.void(array, row, column, last, value), generate

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from toolkit.splat.cpu.kernels import kernel, parallel_kernel, reordering_kernel
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.threads import FAST
+from toolkit.splat.cpu.simd_memory import prefetch
 
 Array = np.ndarray[Any, Any]
 
@@ -30,9 +31,12 @@ FACTOR_XX, FACTOR_YX, FACTOR_YY, LOG_OPACITY = 2, 3, 4, 5
 DEPTH, RED, GREEN, BLUE = 6, 7, 8, 9
 SQUARED_EXTENT = 10  # |L^T d|^2 where the Gaussian falls to 1/255
 INVERSE_XX = 11
-HALF_HEIGHT = 12
-TOP_OF_X = 13  # offset in y, in pixels, at which the footprint reaches farthest to the right
+HALF_HEIGHT = 12  # of the footprint, in pixels
+OPACITY = 13
+TOP_OF_X = 14  # offset in y, in pixels, at which the footprint reaches farthest to the right
 
+# So many rows ahead of their use they are asked for: in order of depth they lie anywhere in memory.
+AHEAD = 8
 _MOST_RUNS = 64
 _SMALLEST_RUN = 512
 
@@ -102,16 +106,15 @@ def depth_order(depths: Array, radii: Array) -> Array:
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
 
 
-@njit(fastmath=FAST, error_model="numpy", cache=True)
-def _write_record(
-    records: Array, rank: int, i: int, means2d: Array, splats: Array, factors: Array
-) -> None:
+@reordering_kernel
+def _write_record(records: Array, rank: int, i: int, means2d: Array, splats: Array, factors: Array) -> None:
     """Gather what drawing one Gaussian needs."""
     for k in range(2):
         records[rank, MEAN_X + k] = means2d[i, k]
     for k in range(4):
         records[rank, FACTOR_XX + k] = factors[i, k]
         records[rank, DEPTH + k] = splats[i, 4 + k]
+    records[rank, OPACITY] = splats[i, 3]
     squared = max(factors[i, 3] - np.float32(LOG2_ALPHA_MIN), np.float32(0))
     records[rank, SQUARED_EXTENT] = squared
     records[rank, INVERSE_XX] = np.float32(1) / factors[i, 0]
@@ -119,35 +122,38 @@ def _write_record(
     records[rank, TOP_OF_X] = splats[i, 1] / math.sqrt(splats[i, 0] * splats[i, 2]) * records[rank, HALF_HEIGHT]
 
 
-@njit(fastmath=FAST, error_model="numpy", cache=True)
+@reordering_kernel
 def _tile_rows(records: Array, rank: int, rows: int) -> tuple[int, int]:
     """Return the first and one past the last row of tiles that a footprint touches."""
-    top = math.floor(max(records[rank, MEAN_Y] - records[rank, HALF_HEIGHT] - SLACK, 0.0))
-    bottom = math.floor(min(records[rank, MEAN_Y] + records[rank, HALF_HEIGHT] + SLACK, rows * TILE_HEIGHT - 1.0))
+    half = records[rank, HALF_HEIGHT] + np.float32(SLACK)
+    top = max(records[rank, MEAN_Y] - half, np.float32(0))
+    bottom = min(records[rank, MEAN_Y] + half, np.float32(rows * TILE_HEIGHT - 1))
+    if bottom < np.float32(0):
+        return 0, 0
     return int(top) // TILE_HEIGHT, int(bottom) // TILE_HEIGHT + 1
 
 
-@njit(fastmath=FAST, error_model="numpy", cache=True)
+@reordering_kernel
 def _tile_columns(records: Array, rank: int, row: int, width: int) -> tuple[int, int]:
     """Return the first and one past the last tile that a footprint touches in a row of tiles."""
-    half = records[rank, HALF_HEIGHT]
-    low = min(max(row * TILE_HEIGHT - records[rank, MEAN_Y], -half), half)
-    high = min(max((row + 1) * TILE_HEIGHT - records[rank, MEAN_Y], -half), half)
+    zero, half = np.float32(0), records[rank, HALF_HEIGHT]
+    low = min(max(np.float32(row * TILE_HEIGHT) - records[rank, MEAN_Y], -half), half)
+    high = min(max(np.float32((row + 1) * TILE_HEIGHT) - records[rank, MEAN_Y], -half), half)
     # The ellipse reaches farthest where it does so as a whole, or at the nearer edge of the row.
     at_right = min(max(records[rank, TOP_OF_X], low), high)
     at_left = min(max(-records[rank, TOP_OF_X], low), high)
     v_right, v_left = records[rank, FACTOR_YY] * at_right, records[rank, FACTOR_YY] * at_left
     squared, yx, inverse = records[rank, SQUARED_EXTENT], records[rank, FACTOR_YX], records[rank, INVERSE_XX]
-    right = (math.sqrt(max(squared - v_right * v_right, 0.0)) - yx * at_right) * inverse
-    left = (-math.sqrt(max(squared - v_left * v_left, 0.0)) - yx * at_left) * inverse
-    first = math.floor(max(records[rank, MEAN_X] + left - SLACK, 0.0))
-    last = math.floor(min(records[rank, MEAN_X] + right + SLACK, width - 1.0))
+    right = (math.sqrt(max(squared - v_right * v_right, zero)) - yx * at_right) * inverse
+    left = (-math.sqrt(max(squared - v_left * v_left, zero)) - yx * at_left) * inverse
+    first = max(records[rank, MEAN_X] + left - np.float32(SLACK), zero)
+    last = min(records[rank, MEAN_X] + right + np.float32(SLACK), np.float32(width - 0.5))
     if last < first:
         return 0, 0
     return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH + 1
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _count_run(
     start: int,
     end: int,
@@ -163,7 +169,11 @@ def _count_run(
     rows: int,
 ) -> None:
     for rank in range(np.uint64(start), np.uint64(end)):
-        _write_record(records, rank, order[rank], means2d, splats, factors)
+        ahead = np.uint64(order[min(rank + np.uint64(AHEAD), np.uint64(end - 1))])
+        prefetch(means2d, ahead)
+        prefetch(splats, ahead)
+        prefetch(factors, ahead)
+        _write_record(records, rank, np.uint64(order[rank]), means2d, splats, factors)
         total = 0
         first_row, end_row = _tile_rows(records, rank, rows)
         for row in range(first_row, end_row):
@@ -174,7 +184,7 @@ def _count_run(
         counts[rank + np.uint64(1)] = total
 
 
-@njit(error_model="numpy", cache=True, parallel=True)
+@parallel_kernel
 def _count(
     order: Array,
     means2d: Array,
@@ -195,7 +205,7 @@ def _count(
         _count_run(start, end, order, means2d, splats, factors, records, counts, cursor, width, columns, rows)
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _accumulate(cursors: Array, starts: Array, first_slots: Array) -> None:
     """Turn counts into positions: where each run writes into each tile's list, and each rank's first slot."""
     runs, tiles = cursors.shape
@@ -211,7 +221,7 @@ def _accumulate(cursors: Array, starts: Array, first_slots: Array) -> None:
         first_slots[rank] += first_slots[rank - 1]
 
 
-@njit(error_model="numpy", cache=True)
+@kernel
 def _fill_run(
     start: int,
     end: int,
@@ -236,7 +246,7 @@ def _fill_run(
                 slot += 1
 
 
-@njit(error_model="numpy", cache=True, parallel=True)
+@parallel_kernel
 def _fill(
     records: Array,
     first_slots: Array,

@@ -1,4 +1,4 @@
-"""How parallel kernels are launched: safely from several Python threads, the same result with any number of cores.
+"""How kernels are compiled and launched.
 
 Numba picks the best threading layer that it finds (TBB, OpenMP, its own ``workqueue``) when the first parallel
 kernel runs. ``workqueue`` aborts the process when two Python threads launch at once; with it launches take turns.
@@ -11,12 +11,19 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import Any
 
 import numba
+from numba.np.ufunc import parallel
 
+# Decorators. Types are left to numba: it knows the vectors of :mod:`toolkit.splat.cpu.simd`, Python does not.
+kernel: Any = numba.njit(error_model="numpy", cache=True)
+parallel_kernel: Any = numba.njit(error_model="numpy", cache=True, parallel=True)
+inlined_kernel: Any = numba.njit(error_model="numpy", cache=True, forceinline=True)
 # Reordering is allowed; assumptions about NaN and infinity are not, for the tests on them must hold.
-FAST: Final = {"contract", "reassoc", "nsz", "arcp"}
+_REORDER = {"contract", "reassoc", "nsz", "arcp"}
+reordering_kernel: Any = numba.njit(error_model="numpy", cache=True, fastmath=_REORDER)
+reordering_parallel_kernel: Any = numba.njit(error_model="numpy", cache=True, parallel=True, fastmath=_REORDER)
 
 _turn = threading.RLock()
 
@@ -24,7 +31,7 @@ _turn = threading.RLock()
 def threading_layer() -> str:
     """Return the name of numba's threading layer, or "" as long as no parallel kernel has run."""
     try:
-        return str(numba.threading_layer())
+        return str(parallel.threading_layer())
     except ValueError:
         return ""
 
