@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -13,7 +14,7 @@ import webbrowser
 from pathlib import Path
 
 import pytest
-from fake_recipe import RECIPE, write_photos
+from fake_recipe import RECIPE, LoopSettings, write_photos
 
 import toolkit
 from toolkit import demo
@@ -22,6 +23,7 @@ from toolkit.errors import Cancelled, SettingsError
 from toolkit.progress import ProgressEvent
 from toolkit.recipes import registry
 from toolkit.recipes.base import Recipe
+from toolkit.runs import process
 from toolkit.runs.compare import Comparison, compare_runs
 from toolkit.runs.index import list_runs
 from toolkit.scene.folder import read_scene
@@ -151,6 +153,7 @@ def test_ctrl_c_ends_with_130_and_resume_finishes(
     assert toolkit_command("resume", "latest") == 0
     assert list_runs(runs)[0].state == "finished"
     assert toolkit_command("resume", "latest") == 2
+    assert toolkit_command.err.startswith("error: ")  # no word that it could go on
     assert "found one that is finished" in toolkit_command.err
 
 
@@ -188,6 +191,17 @@ def test_a_real_ctrl_c_in_a_real_process(runs: Path, photos: Path) -> None:
     assert "stopped: Ctrl-C" in said
     assert "Traceback" not in said
     assert list_runs(runs)[0].state == "cancelled"
+
+
+def test_a_refused_resume_does_not_promise_that_it_can_go_on(
+    toolkit_command: Said, runs: Path, photos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toolkit_command("run", "fake", "--data", photos, "--set", "fail_at=3")
+    other = dataclasses.replace(RECIPE, settings_type=LoopSettings)
+    monkeypatch.setattr(registry, "all_recipes", lambda: {"fake": other})
+    monkeypatch.setattr(process, "_started", lambda pid: "another start")  # as in a later process
+    assert toolkit_command("resume", "latest") == 2
+    assert toolkit_command.err.startswith("error: The settings of run")
 
 
 @pytest.mark.parametrize(

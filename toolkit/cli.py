@@ -169,12 +169,16 @@ def _with_bar(work: Callable[[TqdmProgress], T]) -> T:
 def _finish(run: RunFolder, work: Callable[[RunFolder, Progress], object]) -> None:
     """Work on a run with a progress bar, then print its result; where it stops, say how to go on."""
     from toolkit.runs.compare import compare_runs
+    from toolkit.runs.process import ProcessMark
     from toolkit.runs.text import result_text
 
     try:
         _with_bar(lambda bar: work(run, bar))
     except (ToolkitError, KeyboardInterrupt):
-        print(f"\nThe run can go on where it stopped: toolkit resume {run.path}", file=sys.stderr)
+        status = run.status()
+        began = status.process == ProcessMark.current()  # or else it was refused
+        if began and status.state in ("failed", "cancelled"):
+            print(f"\nThe run can go on where it stopped: toolkit resume {run.path}", file=sys.stderr)
         raise
     print(result_text(compare_runs([run])))
 

@@ -199,6 +199,8 @@ def test_best_ignores_what_is_missing_and_marks_ties() -> None:
     assert best_of("psnr", [20.0, None, 21.0, 21.0]) == {2, 3}
     assert best_of("psnr", [20.0, None, float("nan")]) == frozenset()
     assert best_of("ate", [0.2, 0.1]) == {1}
+    assert best_of("ate", [66.2301, 66.2304]) == frozenset()  # nobody sees the difference
+    assert best_of("ate", [66.2301, 66.2304, 70.0]) == {0, 1}
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_warnings_of_python_go_to_the_log_and_on(run: RunFolder) -> None:
     assert re.search(r"warning: RuntimeWarning: something odd \(test_journal\.py:\d+\)", run.log_file.read_text())
 
 
-def test_time_goes_on_in_a_second_session(run: RunFolder) -> None:
+def test_time_goes_on_when_a_run_is_resumed(run: RunFolder) -> None:
     with journal(run) as book:
         book(ProgressEvent("train", 1, 9, values={"loss": 1.0}))
     with run.metrics_file.open("a") as file:

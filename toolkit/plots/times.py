@@ -23,7 +23,7 @@ class TimedStage(Protocol):
 
     @property
     def reused(self) -> bool:
-        """Whether the output of an earlier run was taken, with the time that it took then."""
+        """Whether its output was there already; it counts with the time that it took when it was made."""
 
 
 def time_figure(times: Mapping[str, Sequence[TimedStage]]) -> go.Figure:

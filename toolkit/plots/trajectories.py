@@ -49,7 +49,7 @@ def trajectory_figure(
         legend={"y": 1.0},
         scene={
             "aspectmode": "data",
-            "camera": {"eye": {"x": 1.15, "y": -1.15, "z": 0.85}},
+            "camera": {"eye": {"x": 1.35, "y": -1.35, "z": 1.1}},
             "xaxis": axis,
             "yaxis": axis,
             "zaxis": axis,

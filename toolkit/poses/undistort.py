@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -92,7 +93,9 @@ def _undistorted(
 
 def _write(picture: NDArray[np.uint8], path: Path) -> None:
     """Write a picture in the format of its ending; JPEG with little loss, the others without any."""
-    lossy = {"quality": _JPEG_QUALITY, "subsampling": 0} if path.suffix.lower() in (".jpg", ".jpeg") else {}
+    lossy: dict[str, Any] = (
+        {"quality": _JPEG_QUALITY, "subsampling": 0} if path.suffix.lower() in (".jpg", ".jpeg") else {}
+    )
     with atomic_path(path) as temporary:
         Image.fromarray(picture).save(temporary, **lossy)
 

@@ -33,7 +33,7 @@ class Curve:
     steps:
         (N,) int64, ascending.
     seconds:
-        (N,) working time of the run when each was measured; pauses between sessions do not count.
+        (N,) working time of the run when each was measured; pauses between stopping and resuming do not count.
     values:
         (N,) float64.
     """

@@ -46,7 +46,7 @@ class Journal:
 
     @property
     def seconds(self) -> float:
-        """Working time of the run so far, that of earlier sessions included."""
+        """Working time of the run so far, that before it was resumed included."""
         return self._curves.seconds + time.monotonic() - self._began
 
     def __call__(self, event: ProgressEvent) -> None:

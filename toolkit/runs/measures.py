@@ -37,13 +37,17 @@ def is_picture_measure(name: str) -> bool:
 
 
 def best_of(name: str, values: Sequence[float | None]) -> frozenset[int]:
-    """Return which of ``values`` are the best; none where fewer than two are known or all are the same."""
+    """Return which of ``values`` are the best as they are shown (:func:`format_number`).
+
+    None are where fewer than two are known, or all look the same.
+    """
     direction = better(name)
     known = {i: value for i, value in enumerate(values) if value is not None and not math.isnan(value)}
-    if direction is None or len(known) < 2 or len(set(known.values())) == 1:
+    shown = {i: format_number(value) for i, value in known.items()}
+    if direction is None or len(known) < 2 or len(set(shown.values())) == 1:
         return frozenset()
     best = max(known.values()) if direction == "higher" else min(known.values())
-    return frozenset(i for i, value in known.items() if value == best)
+    return frozenset(i for i, text in shown.items() if text == format_number(best))
 
 
 def format_number(value: float | None) -> str:

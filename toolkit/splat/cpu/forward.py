@@ -41,6 +41,32 @@ def clear_transmittance(transmittance: Array, width: int, height: int) -> int:
 
 
 @kernel
+def _write_pixels(
+    left: int,
+    top: int,
+    transmittance: Array,
+    planes: tuple[Array, Array, Array, Array, Array],
+    background: Array,
+    images: tuple[Array, Array, Array, Array],
+) -> None:
+    """Write a tile's part of the images from its sums of w colour (3) and w depth, and its median depths."""
+    reds, greens, blues, depths, medians = planes
+    colour, alpha, depth, median = images
+    height, width = alpha.shape
+    for i in range(top, min(top + TILE_HEIGHT, height)):
+        for j in range(left, min(left + TILE_WIDTH, width)):
+            place = (i - top) * STRIDE + j - left
+            left_over = abs(transmittance[place])
+            share = np.float32(1) - left_over
+            alpha[i, j] = share
+            colour[i, j, 0] = reds[place] + left_over * background[0]
+            colour[i, j, 1] = greens[place] + left_over * background[1]
+            colour[i, j, 2] = blues[place] + left_over * background[2]
+            depth[i, j] = depths[place] / share if share > 0 else np.float32(0)
+            median[i, j] = medians[place]
+
+
+@kernel
 def _blend_tile(
     left: int,
     top: int,
@@ -53,16 +79,14 @@ def _blend_tile(
 
     A pixel is finished when its transmittance is negative; its size is what was left.
     """
-    colour, alpha, depth, median = images
-    height, width = alpha.shape
-    tile_width, tile_height = min(TILE_WIDTH, width - left), min(TILE_HEIGHT, height - top)
+    height, width = images[1].shape
     places = np.empty(MOST_RUNS, dtype=np.int32)
     us, vs = np.empty(MOST_RUNS, dtype=np.float32), np.empty(MOST_RUNS, dtype=np.float32)
     limits = np.empty(MOST_RUNS, dtype=np.float32)
     transmittance = np.empty(PIXELS, dtype=np.float32)
     planes = np.zeros((5, PIXELS), dtype=np.float32)
     reds, greens, blues, depths, medians = planes[0], planes[1], planes[2], planes[3], planes[4]
-    unfinished = clear_transmittance(transmittance, tile_width, tile_height)
+    unfinished = clear_transmittance(transmittance, min(TILE_WIDTH, width - left), min(TILE_HEIGHT, height - top))
     used = len(entries)
     for entry in range(len(entries)):
         rank = np.uint64(entries[entry, 0])
@@ -97,18 +121,7 @@ def _blend_tile(
         if unfinished == 0:
             used = entry + 1
             break
-    for row in range(tile_height):
-        for column in range(tile_width):
-            place = row * STRIDE + column
-            i, j = top + row, left + column
-            left_over = abs(transmittance[place])
-            drawn_share = np.float32(1) - left_over
-            alpha[i, j] = drawn_share
-            colour[i, j, 0] = reds[place] + left_over * background[0]
-            colour[i, j, 1] = greens[place] + left_over * background[1]
-            colour[i, j, 2] = blues[place] + left_over * background[2]
-            depth[i, j] = depths[place] / drawn_share if drawn_share > 0 else np.float32(0)
-            median[i, j] = medians[place]
+    _write_pixels(left, top, transmittance, (reds, greens, blues, depths, medians), background, images)
     return used
 
 

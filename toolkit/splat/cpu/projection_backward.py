@@ -219,7 +219,7 @@ def _shade_backward(
         camera, gather(means, i, 0, last), gather(means, i, 1, last), gather(means, i, 2, last)
     )
     colour = (
-        select(drawn, gather(by_splat, i, 5, last), zero),
+        select(drawn & (gather(splats, i, 5, last) > 0.0), gather(by_splat, i, 5, last), zero),
         select(drawn & (gather(splats, i, 6, last) > 0.0), gather(by_splat, i, 6, last), zero),
         select(drawn & (gather(splats, i, 7, last) > 0.0), gather(by_splat, i, 7, last), zero),
     )
