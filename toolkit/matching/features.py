@@ -15,7 +15,7 @@ from toolkit.errors import CapabilityError, DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.matching.colmap_job import run_colmap
 from toolkit.matching.database import create_database, keypoint_counts, settle, watch
-from toolkit.progress import Progress, ProgressEvent, silent
+from toolkit.progress import Progress, ProgressEvent, silent, track
 from toolkit.scene import Scene
 from toolkit.scene.pictures import check_picture, picture_size
 from toolkit.settings import Choice, Integer, Number, Settings
@@ -130,11 +130,8 @@ def extract_sift(
         For a camera that is none of COLMAP's.
     """
     start = time.perf_counter()
-    _check_pictures(scene)
+    _check_pictures(scene, progress)
     create_database(database_path, scene, start_cameras(scene, settings.camera_model))
-    reader = pycolmap.ImageReaderOptions()
-    if scene.mask_dir is not None:
-        reader.mask_path = scene.mask_dir
     options = pycolmap.FeatureExtractionOptions(
         type=pycolmap.FeatureExtractorType.SIFT,
         max_image_size=settings.max_image_side,
@@ -145,18 +142,25 @@ def extract_sift(
     options.sift.first_octave = settings.first_octave
     options.sift.peak_threshold = settings.peak_threshold
     names = [frame.name for frame in scene.frames]
+    # COLMAP refuses a picture whose mask is missing, so those without one are read without a mask folder.
+    masked = [frame.name for frame in scene.frames if scene.mask_path(frame) is not None]
+    jobs = [(sorted(set(names) - set(masked)), pycolmap.ImageReaderOptions())]
+    if masked:
+        jobs.append((masked, pycolmap.ImageReaderOptions(mask_path=scene.mask_dir)))
 
     def extract(token: pycolmap.CancellationToken) -> None:
         pycolmap.set_random_seed(seed)
-        pycolmap.extract_features(
-            database_path,
-            scene.image_dir,
-            image_names=names,
-            reader_options=reader,
-            extraction_options=options,
-            device=pycolmap.Device.cpu,
-            cancellation_token=token,
-        )
+        # No name at all would mean every file in the folder.
+        for chosen, reader in (job for job in jobs if job[0]):
+            pycolmap.extract_features(
+                database_path,
+                scene.image_dir,
+                image_names=chosen,
+                reader_options=reader,
+                extraction_options=options,
+                device=pycolmap.Device.cpu,
+                cancellation_token=token,
+            )
 
     waiting = set(range(1, len(names) + 1))
     with watch(database_path) as database:
@@ -170,8 +174,6 @@ def extract_sift(
     counts = keypoint_counts(database_path)
     for frame in scene.frames:
         if counts[frame.name] is None:
-            # This names what is wrong with a damaged picture; a sound one has a damaged mask.
-            check_picture(scene.image_path(frame))
             raise DataError(
                 f"COLMAP could not use picture {scene.image_path(frame)}",
                 expected="a complete picture, and a complete mask where there is one",
@@ -221,11 +223,14 @@ def _of_model(camera: ColmapCamera, model: str) -> ColmapCamera:
     return ColmapCamera(model, camera.width, camera.height, tuple(params), camera.prior_focal_length)
 
 
-def _check_pictures(scene: Scene) -> None:
-    """Refuse a scene without pictures, and pictures that are missing, no pictures or of another size."""
+def _check_pictures(scene: Scene, progress: Progress) -> None:
+    """Refuse a scene without pictures, and pictures that are missing, damaged or of another size.
+
+    COLMAP takes what it can decode of a damaged picture and says nothing.
+    """
     if not scene.frames:
         raise DataError("The scene has no pictures", expected="at least 2 frames")
-    for frame in scene.frames:
+    for frame in track(scene.frames, "features.check", progress):
         path, camera = scene.image_path(frame), scene.camera_of(frame)
         size = picture_size(path)
         if size != (camera.width, camera.height):
@@ -235,3 +240,4 @@ def _check_pictures(scene: Scene) -> None:
                 found=f"{size[0]}x{size[1]}",
                 todo="Give the frame a camera of its size",
             )
+        check_picture(path)

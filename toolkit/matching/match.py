@@ -35,7 +35,9 @@ class MatchSettings(Settings):
     )
     max_distance = Number(0.7, bounds=(0.0, 2.0), doc="Largest angle between matched descriptors, in radians.")
     cross_check = Boolean(True, doc="Keep only matches that are nearest in both directions.")
-    guided = Boolean(False, doc="Match again along the epipolar lines that were found: more matches, more time.")
+    guided = Boolean(
+        False, doc="Match again along the epipolar lines that were found: more matches, and many times the time."
+    )
     min_inliers = Integer(15, bounds=(6, 1000), unit="matches", doc="Least inliers of a pair that is verified.")
     max_error = Number(
         4.0, bounds=(0.1, 100.0), unit="px", doc="Largest distance of an inlier from its epipolar line."

@@ -237,6 +237,8 @@ def _options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOp
     options = pycolmap.IncrementalPipelineOptions(
         min_num_matches=settings.min_matches,
         multiple_models=settings.multiple_models,
+        # COLMAP would drop every model after the first with fewer than ten pictures, were it the largest.
+        min_model_size=2,
         num_threads=settings.threads or -1,
         random_seed=seed,
         ba_refine_focal_length=settings.refine_focal,
