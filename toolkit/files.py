@@ -14,6 +14,8 @@ from typing import Any
 
 from toolkit.errors import DataError, RunError
 
+_LEAST_FREE = 64 * 2**20
+
 
 @contextmanager
 def disk_errors(path: Path, doing: str) -> Iterator[None]:
@@ -22,14 +24,7 @@ def disk_errors(path: Path, doing: str) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            free = shutil.disk_usage(
-                next(folder for folder in (path, *path.absolute().parents) if folder.exists())
-            ).free
-            raise RunError(
-                f"The disk is full while {doing} {path}",
-                found=f"{free / 2**20:.1f} MiB free",
-                todo="Free some space, or choose another folder, and resume. What was complete is kept",
-            ) from error
+            raise _disk_full(path, doing, _free_bytes(path)) from error
         if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM):
             raise RunError(
                 f"Not allowed while {doing} {path}", found=str(error), todo="Choose a folder you may write to"
@@ -41,6 +36,32 @@ def disk_errors(path: Path, doing: str) -> Iterator[None]:
                 todo="Choose another folder, or move away what is there",
             ) from error
         raise
+
+
+def require_free_space(path: Path, doing: str) -> None:
+    """Raise before the disk of ``path`` is full, for libraries that end the whole process when it is.
+
+    Raises
+    ------
+    RunError
+        When less than 64 MiB are free.
+    """
+    free = _free_bytes(path)
+    if free < _LEAST_FREE:
+        raise _disk_full(path, doing, free, expected=f"at least {_LEAST_FREE / 2**20:.0f} MiB free")
+
+
+def _free_bytes(path: Path) -> int:
+    return shutil.disk_usage(next(folder for folder in (path, *path.absolute().parents) if folder.exists())).free
+
+
+def _disk_full(path: Path, doing: str, free: int, expected: str = "") -> RunError:
+    return RunError(
+        f"The disk is full while {doing} {path}",
+        expected=expected,
+        found=f"{free / 2**20:.1f} MiB free",
+        todo="Free some space, or choose another folder, and resume. What was complete is kept",
+    )
 
 
 @contextmanager

@@ -30,7 +30,7 @@ BACKEND = "cpu"
 
 
 def settings(**changes) -> TrainSettings:
-    return TrainSettings(**{"steps": 60, "backend": BACKEND, "grad_threshold": 1e-2, "eval_every": 20, **changes})
+    return TrainSettings(**{"steps": 60, "backend": BACKEND, "grad_threshold": 5e-4, "eval_every": 20, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -123,14 +123,14 @@ def test_a_resumed_run_equals_the_uninterrupted_one_to_the_bit(
     scene: Scene, trained: TrainResult, tmp_path: Path
 ) -> None:
     with pytest.raises(Cancelled):
-        train_splats(scene, settings(), seed=0, progress=stop_after(20), checkpoint_dir=tmp_path)
+        train_splats(scene, settings(), seed=0, progress=stop_after(30), checkpoint_dir=tmp_path)
     events: list[ProgressEvent] = []
     resumed = train_splats(scene, settings(), seed=0, progress=events.append, checkpoint_dir=tmp_path)
-    assert resumed.resumed_at == 20
-    assert any(event.message == "resumed at step 20" for event in events)
+    assert resumed.resumed_at == 30
+    assert any(event.message == "resumed at step 30" for event in events)
     # Gaussians were added before and after the stop, so the generator and the statistics came back, too.
     counts = [row.gaussians for row in trained.history]
-    assert counts[0] < counts[19] < counts[-1]
+    assert counts[0] < counts[29] < counts[-1]
     assert same(resumed.gaussians, trained.gaussians)
     assert resumed.history == trained.history
     assert resumed.changes == trained.changes

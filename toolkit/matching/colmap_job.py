@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar
 
 import pycolmap
 
+from toolkit.files import require_free_space
 from toolkit.progress import Progress, ProgressEvent
 
 T = TypeVar("T")
@@ -17,19 +19,32 @@ _SECONDS_BETWEEN_EVENTS = 0.2
 
 
 def run_colmap(
-    call: Callable[[pycolmap.CancellationToken], T], event: Callable[[], ProgressEvent], progress: Progress
+    call: Callable[[pycolmap.CancellationToken], T],
+    event: Callable[[], ProgressEvent],
+    progress: Progress,
+    writes_to: Path | None = None,
 ) -> T:
     """Return ``call(token)``, made in a thread of its own while ``progress(event())`` is told how far it is.
 
     When ``progress`` raises, the token is cancelled, the call is waited for, because it writes files until it
     stops, and the exception goes on. Events come five times a second and once at the end.
+
+    COLMAP ends the whole process when the disk under its database is full. So the call is not begun, or cancelled,
+    while there is still some space left on the disk of ``writes_to`` (None: it writes nothing).
+
+    Raises
+    ------
+    RunError
+        When that disk is nearly full.
     """
+    _check_disk(writes_to)
     token = pycolmap.CancellationToken()
     with _quiet(), ThreadPoolExecutor(max_workers=1) as pool:
         future = pool.submit(call, token)
         try:
             while not future.done():
                 progress(event())
+                _check_disk(writes_to)
                 wait([future], timeout=_SECONDS_BETWEEN_EVENTS)
         except BaseException:
             token.cancel()
@@ -37,6 +52,11 @@ def run_colmap(
         result = future.result()
         progress(event())
         return result
+
+
+def _check_disk(path: Path | None) -> None:
+    if path is not None:
+        require_free_space(path, "working on")
 
 
 @contextmanager

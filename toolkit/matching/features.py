@@ -169,7 +169,7 @@ def extract_sift(
             waiting.difference_update([number for number in waiting if database.exists_keypoints(number)])
             return ProgressEvent("features", len(names) - len(waiting), len(names))
 
-        run_colmap(extract, event, progress)
+        run_colmap(extract, event, progress, database_path)
     settle(database_path)
     counts = keypoint_counts(database_path)
     for frame in scene.frames:

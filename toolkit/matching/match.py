@@ -172,7 +172,7 @@ def match_pairs(
         def event() -> ProgressEvent:
             return ProgressEvent("match", database.num_matched_image_pairs(), len(pairs))
 
-        run_colmap(match, event, progress)
+        run_colmap(match, event, progress, database_path)
     settle(database_path)
     return MatchReport(names, *match_counts(database_path), seconds=time.perf_counter() - start)
 

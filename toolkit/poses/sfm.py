@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 import time
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ import pycolmap
 from toolkit.errors import Cancelled, DataError
 from toolkit.files import disk_errors
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import keypoint_counts
+from toolkit.matching.database import copy_database, keypoint_counts
 from toolkit.poses.adjust import AdjustmentReport, adjust
 from toolkit.poses.sfm_failure import check_matches, no_initial_pair
 from toolkit.progress import Progress, ProgressEvent, silent
@@ -80,7 +81,8 @@ class SfmResult:
     Attributes
     ----------
     scene:
-        The scene with poses, cameras, points and tracks. Frames that were not registered have no pose.
+        The scene with poses, cameras, points and tracks, in a world frame of its own: no georeference, no priors.
+        Frames that were not registered have no pose.
     models:
         Number of registered pictures of each model that was found, the largest first. The scene is the first.
     observations:
@@ -176,7 +178,15 @@ def incremental_sfm(
         )
     check_matches(database_path, settings.min_matches)
     start = time.perf_counter()
-    found = _map(scene, database_path, settings, seed, progress, work_dir)
+    with disk_errors(work_dir, "writing"):
+        work_dir.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=work_dir, prefix=".sfm.", suffix=".tmp") as temporary:
+        # COLMAP changes a database by opening it; this one may belong to another stage.
+        copy = Path(temporary) / "matches.db"
+        copy_database(database_path, copy)
+        found = _map(scene, copy, settings, seed, progress)
+        with closing(pycolmap.Database.open(copy)) as database:
+            before = {camera.camera_id: camera for camera in database.read_all_cameras()}
     if not found:
         raise no_initial_pair(database_path, settings.init_min_inliers, settings.init_min_angle)
     found.sort(key=lambda model: (model.num_reg_images(), model.num_points3D()), reverse=True)
@@ -186,21 +196,27 @@ def incremental_sfm(
     adjusted = time.perf_counter()
     images = (best.image(image_id) for image_id in best.reg_image_ids())
     return SfmResult(
-        scene=scene_from_pycolmap(best, scene.image_dir, like=scene.without_poses()),
+        scene=_in_its_own_world(scene_from_pycolmap(best, scene.image_dir, like=scene.without_poses())),
         models=tuple(model.num_reg_images() for model in found),
         observations={image.name: int(image.num_points3D) for image in images},
         mean_track_length=float(best.compute_mean_track_length()),
         mean_reprojection_error=float(best.compute_mean_reprojection_error()),
-        cameras=_changes(best, database_path),
+        cameras=_changes(before, best),
         adjustment=report,
         seconds={"mapping": mapped - start, "adjustment": adjusted - mapped},
     )
 
 
+def _in_its_own_world(scene: Scene) -> Scene:
+    """Drop what speaks of another world frame: pictures alone give neither place, heading nor scale."""
+    frames = tuple(dataclasses.replace(frame, prior=None) for frame in scene.frames)
+    return scene.replace(frames=frames, georeference=None)
+
+
 def _map(
-    scene: Scene, database_path: Path, settings: SfmSettings, seed: int, progress: Progress, work_dir: Path
+    scene: Scene, database_path: Path, settings: SfmSettings, seed: int, progress: Progress
 ) -> list[pycolmap.Reconstruction]:
-    """Return all models that COLMAP's mapper finds."""
+    """Return all models that COLMAP's mapper finds. It writes them beside the database, too."""
     placed = {"model": 0, "pictures": 0}
 
     def started() -> None:
@@ -213,23 +229,19 @@ def _map(
         message = f"model {placed['model']}" if placed["model"] > 1 else ""
         return ProgressEvent("sfm", min(placed["pictures"], len(scene)), len(scene), message)
 
-    with disk_errors(work_dir, "writing"):
-        work_dir.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=work_dir, prefix=".models.", suffix=".tmp") as folder:
+    def call(token: pycolmap.CancellationToken) -> dict[int, pycolmap.Reconstruction]:
+        pycolmap.set_random_seed(seed)
+        return pycolmap.incremental_mapping(
+            database_path,
+            scene.image_dir,
+            database_path.parent,
+            options=_options(settings, seed),
+            initial_image_pair_callback=started,
+            next_image_callback=added,
+            cancellation_token=token,
+        )
 
-        def call(token: pycolmap.CancellationToken) -> dict[int, pycolmap.Reconstruction]:
-            pycolmap.set_random_seed(seed)
-            return pycolmap.incremental_mapping(
-                database_path,
-                scene.image_dir,
-                folder,
-                options=_options(settings, seed),
-                initial_image_pair_callback=started,
-                next_image_callback=added,
-                cancellation_token=token,
-            )
-
-        models = run_colmap(call, event, progress)
+    models = run_colmap(call, event, progress, database_path)
     return [model for model in models.values() if model.num_reg_images() >= 2]
 
 
@@ -286,9 +298,7 @@ def _adjust(
     return run_colmap(call, lambda: event, progress)
 
 
-def _changes(model: pycolmap.Reconstruction, database_path: Path) -> tuple[CameraChange, ...]:
-    with closing(pycolmap.Database.open(database_path)) as database:
-        before = {camera.camera_id: camera for camera in database.read_all_cameras()}
+def _changes(before: Mapping[int, pycolmap.Camera], model: pycolmap.Reconstruction) -> tuple[CameraChange, ...]:
     used = sorted({model.image(image_id).camera_id for image_id in model.reg_image_ids()})
     return tuple(
         CameraChange(

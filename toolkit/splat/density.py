@@ -12,7 +12,7 @@ from toolkit.errors import StageError
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.optimiser import GaussianOptimiser
 from toolkit.splat.reference import rotation_matrices
-from toolkit.splat.train_settings import TrainSettings
+from toolkit.splat.train_settings import Schedule, TrainSettings
 
 # A Gaussian that is split becomes two with scales smaller by this factor.
 SPLIT_FACTOR = 1.6
@@ -48,6 +48,7 @@ class DensityControl:
 
     def __init__(self, settings: TrainSettings, extent: float, gradient_sum: Tensor, count: Tensor) -> None:
         self._settings = settings
+        self._threshold = Schedule.of(settings).grad_threshold
         self._extent = extent
         self.gradient_sum = gradient_sum
         self.count = count
@@ -140,7 +141,7 @@ class DensityControl:
     def _chosen(self, keep: Tensor) -> Tensor:
         """Return which Gaussians (N,) are densified: high gradients among those that stay, as many as may."""
         mean_gradient = self.gradient_sum / self.count.clamp(min=1)
-        wanted = torch.nonzero(keep & (mean_gradient > self._settings.grad_threshold))[:, 0]
+        wanted = torch.nonzero(keep & (mean_gradient > self._threshold))[:, 0]
         places = max(0, self._settings.max_gaussians - int(keep.sum()))
         if len(wanted) > places:
             order = torch.sort(mean_gradient[wanted], descending=True, stable=True).indices

@@ -9,6 +9,8 @@ from toolkit.settings import Choice, Integer, Number, Settings
 
 # A run holds at least this many rounds of densification, however short it is.
 _ROUNDS = 12
+# In runs shorter than this fewer Gaussians are added: the threshold for gradients rises.
+_FULL_STEPS = 3000
 
 
 class TrainSettings(Settings):
@@ -17,6 +19,11 @@ class TrainSettings(Settings):
     What happens at a certain time of a run is a share of ``steps``, and what happens again and again has an
     interval in steps that shrinks in runs too short for it (:class:`Schedule`). So a run of 300 steps goes
     through the same phases as one of 30000.
+
+    Kerbl et al. densify from 500 to 15000 of 30000 steps above a gradient of 2e-4, with a black background. The
+    defaults here are for hundreds to thousands of steps: there the gradients are large mostly because colours have
+    not been learned yet, and what is added without need has no time to become anything but haze. A background
+    that changes keeps Gaussians from leaving holes that happen to be right.
     """
 
     steps = Integer(3000, bounds=(1, 1_000_000), unit="steps", doc="Length of the training; one photo a step.")
@@ -25,7 +32,9 @@ class TrainSettings(Settings):
     )
     lambda_dssim = Number(0.2, bounds=(0.0, 1.0), doc="Share of D-SSIM in the loss; the rest is L1.")
     background = Choice(
-        "black", choices=("black", "white", "random"), doc="Colour behind the Gaussians; random: another each step."
+        "random",
+        choices=("black", "white", "random"),
+        doc="Colour behind the Gaussians; random: another each step, and black when measured.",
     )
     backend = Choice("cpu", choices=("cpu", "cuda", "reference"), doc="Rasterizer; reference is for tests only.")
 
@@ -47,15 +56,16 @@ class TrainSettings(Settings):
     lr_sh0 = Number(2.5e-3, bounds=(0.0, 1.0), doc="Learning rate of the base colour.")
     lr_sh_rest = Number(1.25e-4, bounds=(0.0, 1.0), doc="Learning rate of the higher spherical harmonics.")
 
-    densify_start = Number(0.05, bounds=(0.0, 1.0), unit="of steps", doc="Densification and pruning begin here.")
-    densify_stop = Number(0.5, bounds=(0.0, 1.0), unit="of steps", doc="... and end here.")
+    densify_start = Number(0.15, bounds=(0.0, 1.0), unit="of steps", doc="Densification and pruning begin here.")
+    densify_stop = Number(0.7, bounds=(0.0, 1.0), unit="of steps", doc="... and end here.")
     densify_every = Integer(
         100, bounds=(1, 100_000), unit="steps", doc="Longest interval between two rounds of densification."
     )
     grad_threshold = Number(
-        2e-4,
+        5e-4,
         bounds=(0.0, 1.0),
-        doc="Gaussians whose mean screen-space gradient (per half image side) exceeds this are densified.",
+        doc="Gaussians whose mean screen-space gradient (per half image side) exceeds this are densified; "
+        "times the root of 3000 / steps in shorter runs.",
     )
     clone_scale = Number(
         0.01, bounds=(0.0, 10.0), unit="scene extents", doc="Up to this size they are cloned, above it split."
@@ -92,6 +102,8 @@ class Schedule:
         Densification happens after steps in ``(densify_first, densify_last]`` ...
     densify_every:
         ... at this interval: the setting, or a twelfth of that span where that is shorter.
+    grad_threshold:
+        The setting, in runs of fewer than 3000 steps times the root of 3000 / steps.
     reset_every:
         Opacities are set back at multiples of this up to ``densify_last``; 0: never.
     sh_every:
@@ -105,6 +117,7 @@ class Schedule:
     densify_first: int
     densify_last: int
     densify_every: int
+    grad_threshold: float
     reset_every: int
     sh_every: int
     sh_degree: int
@@ -119,6 +132,7 @@ class Schedule:
             densify_first=first,
             densify_last=last,
             densify_every=max(1, min(settings.densify_every, (last - first) // _ROUNDS)),
+            grad_threshold=settings.grad_threshold * math.sqrt(max(1.0, _FULL_STEPS / settings.steps)),
             reset_every=settings.reset_every,
             sh_every=max(1, min(settings.sh_every, settings.steps // 6)),
             sh_degree=settings.sh_degree,
