@@ -42,8 +42,9 @@ demo: $(VENV)/.core  ## Make a sample flight, run one method in two ways on it, 
 test: $(VENV)/.dev  ## Run the tests.
 	$(BIN)/python -m pytest
 
-bench: $(VENV)/.dev  ## Measure (slow); writes tables into docs/.
-	$(BIN)/python -m pytest tests/benchmarks --override-ini testpaths=tests/benchmarks -s
+bench: $(VENV)/.dev  ## Measure (an hour): the rasterizer, and real photos where TOOLKIT_DATA names them.
+	$(BIN)/python tests/benchmarks/bench_rasterize.py --gaussians 10000 50000 100000 --repeats 30
+	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
 
 lint: $(VENV)/.dev  ## Check style and types.
 	$(BIN)/ruff format --check .

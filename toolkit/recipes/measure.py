@@ -79,12 +79,14 @@ def measure_poses(estimate: Scene, reference: Scene | None) -> tuple[dict[str, f
     -------
     metrics, report:
         ``poses.<alignment>.<measure>`` in scene units of the reference and in degrees; what could not be
-        measured is left out and the report says why.
+        measured is left out and the report says why. The report also holds the errors of each frame and
+        ``extent``, the diagonal of the box around the reference's camera centres.
     """
     if reference is None or not reference.registered:
         return {}, {"reason": "the data have no reference poses"}
     metrics: dict[str, float | None] = {}
-    report: dict[str, Any] = {}
+    centres = reference.centres()
+    report: dict[str, Any] = {"extent": float(np.linalg.norm(np.ptp(centres, axis=0)))}
     alignments: tuple[Alignment, ...] = ("sim3",) if estimate.georeference is None else ("sim3", "se3", "none")
     for alignment in alignments:
         try:
