@@ -26,6 +26,8 @@ def measure_test_renders(
 ) -> tuple[tuple[TestView, ...], dict[str, float | None], dict[str, Any]]:
     """Write each test photo beside its render and measure PSNR, SSIM and, where there are weights, LPIPS.
 
+    Pixels that a photo's mask leaves out do not count for PSNR and SSIM; LPIPS knows no masks and takes all.
+
     Parameters
     ----------
     renders:
@@ -45,6 +47,7 @@ def measure_test_renders(
     views: list[TestView] = []
     for number, render in enumerate(track(renders, "measure", progress, count)):
         photo, drawn = f"test/{number:04d}_photo.png", f"test/{number:04d}_render.png"
+        counts = None if render.weights is None else render.weights > 0
         _write_picture(render.photo, artifacts / photo)
         _write_picture(render.render, artifacts / drawn)
         views.append(
@@ -52,8 +55,8 @@ def measure_test_renders(
                 render.name,
                 photo,
                 drawn,
-                psnr=psnr(render.photo, render.render),
-                ssim=ssim(render.photo, render.render),
+                psnr=psnr(render.photo, render.render, counts),
+                ssim=ssim(render.photo, render.render, counts),
                 lpips=lpips(render.photo, render.render),
             )
         )

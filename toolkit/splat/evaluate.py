@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -94,10 +93,3 @@ def raster_settings(settings: TrainSettings) -> RasterSettings:
 def fixed_background(settings: TrainSettings, like: Tensor) -> Tensor:
     """Return the background colour (3,) with which views are compared: black also where training varies it."""
     return like.new_full((3,), 1.0 if settings.background == "white" else 0.0)
-
-
-def psnr(render: Tensor, photo: Tensor, weights: Tensor | None = None) -> float:
-    """Return the peak signal-to-noise ratio in dB of images (H, W, 3), 0 to 1, the render cut off at 0 and 1."""
-    square = (render.clamp(0, 1) - photo).square().mean(dim=-1)
-    error = square.mean() if weights is None else (weights * square).sum() / weights.sum()
-    return -10 * math.log10(max(float(error), 1e-12))

@@ -17,11 +17,12 @@ import torch
 from torch import Tensor
 
 from toolkit.errors import Cancelled, CapabilityError, NumericalError
+from toolkit.metrics.image import psnr
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
 from toolkit.splat.checkpoint import load_newest, require_same, save_checkpoint
 from toolkit.splat.density import DensityChange
-from toolkit.splat.evaluate import draw, fixed_background, psnr, raster_settings
+from toolkit.splat.evaluate import draw, fixed_background, raster_settings
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo, load_photos
 from toolkit.splat.initialise import scene_extent
@@ -31,6 +32,7 @@ from toolkit.splat.train_settings import Schedule, TrainSettings
 from toolkit.splat.train_state import HistoryRow, TrainState, scene_fingerprint
 
 STAGE = "splat.train"
+MAX_PSNR = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,8 +275,11 @@ class _Trainer:
     def _psnr_test(self, photo: Photo) -> float:
         gaussians = self.state.optimiser.gaussians
         device = str(gaussians.means.device)
-        render = draw(gaussians, photo, self.settings).colour[0]
-        return psnr(render, photo.colours(device), photo.weights(device))
+        render = draw(gaussians, photo, self.settings).colour[0].clamp(0, 1)
+        weights = photo.weights(device)
+        decibels = psnr(render, photo.colours(device), None if weights is None else weights > 0)
+        # An identical picture has infinitely many, which a checkpoint's JSON cannot hold.
+        return min(decibels, MAX_PSNR)
 
     @contextmanager
     def _clock(self, part: str) -> Iterator[None]:
