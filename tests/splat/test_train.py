@@ -262,7 +262,7 @@ def test_a_render_that_equals_the_photo_can_be_written_down(scene: Scene, tmp_pa
     for frame in scene.frames:
         Image.fromarray(np.zeros((24, 36, 3), np.uint8)).save(black / frame.name)
     # Faint Gaussians over black: not drawn at all.
-    chosen = settings(steps=1, initial_opacity=0.001, lr_opacity=0.0)
+    chosen = settings(steps=1, initial_opacity=0.001, lr_opacity=0.0, densify_stop=0.0)
     result = train_splats(scene.replace(image_dir=black), chosen, seed=0, checkpoint_dir=tmp_path / "checkpoint")
     assert result.history[-1].psnr_test == 100
 

@@ -156,7 +156,8 @@ def incremental_sfm(
     settings:
         As declared.
     seed:
-        Of every random choice. With the same seed, machine and number of threads results repeat to rounding.
+        Of every random choice. On the same machine poses repeat to the bit with one thread, and to rounding
+        (1e-12 of the scene's width was seen) with several.
     progress:
         Told how many pictures are placed; raises to cancel.
     work_dir:
