@@ -319,3 +319,12 @@ def test_no_setting_names_a_feature_that_ends_the_process() -> None:
         assert not any(
             "aliked" in row.allowed.lower() or "lightglue" in row.allowed.lower() for row in settings.table()
         )
+
+
+def test_a_copy_is_not_spoilt_by_the_logs_of_an_older_one(matched: Path) -> None:
+    target = matched.with_name("target.db")
+    for ending in ("", "-wal", "-shm"):
+        target.with_name(target.name + ending).write_bytes(b"left over from a killed run")
+    copy_database(matched, target)
+    assert keypoint_counts(target) == keypoint_counts(matched)
+    assert [path.name for path in matched.parent.glob("target.db*")] == ["target.db"]

@@ -40,8 +40,7 @@ def create_database(path: Path, scene: Scene, cameras: Mapping[int, ColmapCamera
     """
     with disk_errors(path, "writing"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        for ending in ("", "-wal", "-shm", "-journal"):
-            path.with_name(path.name + ending).unlink(missing_ok=True)
+        _remove(path)
     with closing(pycolmap.Database.open(path)) as database:
         for camera_id in sorted({frame.camera_id for frame in scene.frames}):
             camera = cameras[camera_id].to_pycolmap(camera_id)
@@ -79,7 +78,7 @@ def copy_database(source: Path, target: Path) -> None:
     """
     with closing(_open(source)) as old, disk_errors(target, "writing"):
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.unlink(missing_ok=True)
+        _remove(target)
         with closing(sqlite3.connect(target)) as new:
             old.backup(new)
 
@@ -154,6 +153,12 @@ def names_without_spaces(path: Path) -> Iterator[list[str]]:
         yield list(plain.values())
     finally:
         _rename(path, names)
+
+
+def _remove(path: Path) -> None:
+    """Delete a database with its logs: an old log beside a new database would be played into it."""
+    for ending in ("", "-wal", "-shm", "-journal"):
+        path.with_name(path.name + ending).unlink(missing_ok=True)
 
 
 def _rename(path: Path, names: Mapping[int, str]) -> None:

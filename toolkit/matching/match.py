@@ -20,8 +20,9 @@ from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
 from toolkit.settings import Boolean, Integer, Number, Settings
 
-# A cancelled call stops after the block that it is in. Smaller blocks than this make COLMAP build the search index
-# of a picture again and again: with 8, 16 and 32 pairs a block 55 pairs took 13 %, 2 % and 0 % longer than in one.
+# A cancelled call stops after the block that it is in. Much smaller blocks make COLMAP build the search index of a
+# picture again and again: 153 pairs took 10.1 s of processor time in one block, 9.9 s in blocks of 32, 11.5 s in
+# blocks of 16.
 _PAIRS_A_BLOCK = 32
 
 

@@ -5,6 +5,10 @@ threshold pull by its square. Both show in the poses: a principal point that is 
 camera by 0.35 degrees. Here the reconstruction is adjusted once more with a Cauchy loss, scaled by the noise that
 the residuals themselves show (Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 3), and with
 the principal point among the unknowns.
+
+A principal point and tangential distortion do nearly the same to a picture. With a model that has both (OPENCV)
+they take each other's place: on photos of lenses without distortion rotations were 1.5 to 5 times worse than with
+SIMPLE_RADIAL.
 """
 
 from __future__ import annotations

@@ -6,14 +6,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-from toolkit import matching
+from toolkit import matching, poses
 from toolkit.matching.database import copy_database
 from toolkit.matching.features import SiftSettings, extract_sift
 from toolkit.matching.match import MatchSettings, match_pairs
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.metrics.lpips import Lpips
-from toolkit.poses import sfm as sfm_module
-from toolkit.poses import undistort as undistort_module
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
 from toolkit.poses.undistort import undistort
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult, StageTime
@@ -138,15 +136,15 @@ def structure_from_motion(
         write_scene(found.scene, folder / _SCENE)
         return found.to_dict()
 
-    poses = cached_stage(
+    mapped = cached_stage(
         context,
         "sfm",
         inputs={"matches": matches.output.key},
         settings=settings.sfm,
-        code=(matching, sfm_module),
+        code=(matching, poses),
         build=poses_into,
     )
-    return features, matches, poses
+    return features, matches, mapped
 
 
 def _undistorted(scene: Scene, sparse: CachedStage, context: RecipeContext) -> CachedStage:
@@ -161,7 +159,7 @@ def _undistorted(scene: Scene, sparse: CachedStage, context: RecipeContext) -> C
         "undistort",
         inputs={"sfm": sparse.output.key},
         settings=None,
-        code=(undistort_module,),
+        code=(poses,),
         build=flat_into,
     )
 

@@ -15,7 +15,7 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.splat.cpu.kernels import launching, reordering_parallel_kernel
+from toolkit.splat.cpu.kernels import launching, parallel_kernel
 
 BETA1: Final = 0.9
 BETA2: Final = 0.999
@@ -62,7 +62,7 @@ def _flat(tensor: Tensor) -> Floats:
     return tensor.detach().view(-1).numpy()
 
 
-@reordering_parallel_kernel
+@parallel_kernel
 def _update_blocks(
     parameter: Floats,
     first: Floats,

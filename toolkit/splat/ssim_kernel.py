@@ -19,7 +19,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from toolkit.splat.cpu.kernels import launching, reordering_kernel, reordering_parallel_kernel
+from toolkit.splat.cpu.kernels import kernel, launching, parallel_kernel
 
 Image = NDArray[np.float32]
 
@@ -41,7 +41,7 @@ _C1, _C2 = np.float32(C1), np.float32(C2)
 _ONE, _TWO = np.float32(1), np.float32(2)
 
 
-@reordering_kernel
+@kernel
 def _blur_row(padded: Image, out: Image) -> None:
     """Blur a row (n + 30,) that has 15 zeros (5 pixels) at either end along itself into ``out`` (n,)."""
     n = len(out)
@@ -53,7 +53,7 @@ def _blur_row(padded: Image, out: Image) -> None:
         out[i] = outer + _W3 * (p3[i] + p7[i]) + _W4 * (p4[i] + p6[i]) + _W5 * p5[i]
 
 
-@reordering_kernel
+@kernel
 def _blur_column(rows: Image, out: Image) -> None:
     """Blur eleven rows (11, n) across into ``out`` (n,)."""
     r0, r1, r2, r3, r4, r5 = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
@@ -63,7 +63,7 @@ def _blur_column(rows: Image, out: Image) -> None:
         out[i] = outer + _W3 * (r3[i] + r7[i]) + _W4 * (r4[i] + r6[i]) + _W5 * r5[i]
 
 
-@reordering_parallel_kernel
+@parallel_kernel
 def _horizontal_moments(x: Image, y: Image, planes: Image) -> None:
     """Blur x, y, x², y², xy (H, n) along rows into ``planes`` (5, H + 10, n), whose outer rows stay zero."""
     height, n = x.shape
@@ -84,7 +84,7 @@ def _horizontal_moments(x: Image, y: Image, planes: Image) -> None:
             _blur_row(padded[k], planes[k, row + 5])
 
 
-@reordering_kernel
+@kernel
 def _ssim_row(moments: Image, scale: Image, by_mu: Image, by_xx: Image, by_xy: Image) -> float:
     """Return the sum of ``scale`` times SSIM over a row, and write ``scale`` times its derivatives.
 
@@ -112,7 +112,7 @@ def _ssim_row(moments: Image, scale: Image, by_mu: Image, by_xx: Image, by_xy: I
     return total
 
 
-@reordering_parallel_kernel
+@parallel_kernel
 def _ssim_and_slopes(planes: Image, weights: Image, slopes: Image, sums: NDArray[np.float64]) -> None:
     """Turn horizontal moments (5, H + 10, n) into row sums (H,) of weighted SSIM and slopes (3, H + 10, n)."""
     height, n = weights.shape
@@ -123,7 +123,7 @@ def _ssim_and_slopes(planes: Image, weights: Image, slopes: Image, sums: NDArray
         sums[row] = _ssim_row(moments, weights[row], slopes[0, row + 5], slopes[1, row + 5], slopes[2, row + 5])
 
 
-@reordering_parallel_kernel
+@parallel_kernel
 def _gradient(
     x: Image, y: Image, weights: Image, slopes: Image, l1: float, ssim: float, out: Image, sums: NDArray[np.float64]
 ) -> None:

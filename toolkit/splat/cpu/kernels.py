@@ -1,7 +1,7 @@
 """How kernels are compiled and launched.
 
-Numba picks the best threading layer that it finds (TBB, OpenMP, its own ``workqueue``) when the first parallel
-kernel runs. ``workqueue`` aborts the process when two Python threads launch at once; with it launches take turns.
+Numba picks the first threading layer that it finds (here OpenMP, TBB, its own ``workqueue``) when the first
+parallel kernel runs. ``workqueue`` aborts the process when two Python threads launch at once; with it launches take turns.
 
 After the first launch with GNU OpenMP a process must not fork: worker processes are to be spawned.
 """
@@ -17,14 +17,13 @@ import numba
 from numba.np.ufunc import parallel
 
 # Decorators. Types are left to numba: it knows the vectors of :mod:`toolkit.splat.cpu.simd`, Python does not.
+# No fastmath: with reordered sums the code that a process compiles and the code that the next one finds in numba's
+# cache round differently, and a resumed run would not equal the uninterrupted one.
 kernel: Any = numba.njit(error_model="numpy", cache=True)
 parallel_kernel: Any = numba.njit(error_model="numpy", cache=True, parallel=True)
 inlined_kernel: Any = numba.njit(error_model="numpy", cache=True, forceinline=True)
-# Reordering is allowed; assumptions about NaN and infinity are not, for the tests on them must hold.
-_REORDER = {"contract", "reassoc", "nsz", "arcp"}
-reordering_kernel: Any = numba.njit(error_model="numpy", cache=True, fastmath=_REORDER)
-reordering_parallel_kernel: Any = numba.njit(error_model="numpy", cache=True, parallel=True, fastmath=_REORDER)
 
+_config: Any = numba.config
 _turn = threading.RLock()
 
 
@@ -39,6 +38,9 @@ def threading_layer() -> str:
 @contextmanager
 def launching() -> Iterator[None]:
     """Hold this around parallel kernels; lets others in at the same time only where the layer can bear it."""
+    if not threading_layer():
+        # Numba would try TBB first, and warn where another library (Open3D) has loaded one that is too old for it.
+        _config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]
     if threading_layer() in ("tbb", "omp"):
         yield
         return

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel, reordering_kernel
+from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
 from toolkit.splat.cpu.simd_memory import prefetch
 
@@ -106,7 +106,7 @@ def depth_order(depths: Array, radii: Array) -> Array:
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
 
 
-@reordering_kernel
+@kernel
 def _write_record(records: Array, rank: int, i: int, means2d: Array, splats: Array, factors: Array) -> None:
     """Gather what drawing one Gaussian needs."""
     for k in range(2):
@@ -122,7 +122,7 @@ def _write_record(records: Array, rank: int, i: int, means2d: Array, splats: Arr
     records[rank, TOP_OF_X] = splats[i, 1] / math.sqrt(splats[i, 0] * splats[i, 2]) * records[rank, HALF_HEIGHT]
 
 
-@reordering_kernel
+@kernel
 def _tile_rows(records: Array, rank: int, rows: int) -> tuple[int, int]:
     """Return the first and one past the last row of tiles that a footprint touches."""
     half = records[rank, HALF_HEIGHT] + np.float32(SLACK)
@@ -133,7 +133,7 @@ def _tile_rows(records: Array, rank: int, rows: int) -> tuple[int, int]:
     return int(top) // TILE_HEIGHT, int(bottom) // TILE_HEIGHT + 1
 
 
-@reordering_kernel
+@kernel
 def _tile_columns(records: Array, rank: int, row: int, width: int) -> tuple[int, int]:
     """Return the first and one past the last tile that a footprint touches in a row of tiles."""
     zero, half = np.float32(0), records[rank, HALF_HEIGHT]
