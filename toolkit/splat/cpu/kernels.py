@@ -1,7 +1,8 @@
 """How kernels are compiled and launched.
 
 Numba picks the first threading layer that it finds (here OpenMP, TBB, its own ``workqueue``) when the first
-parallel kernel runs. ``workqueue`` aborts the process when two Python threads launch at once; with it launches take turns.
+parallel kernel runs. ``workqueue`` aborts the process when two Python threads launch at once; with it launches
+take turns.
 
 After the first launch with GNU OpenMP a process must not fork: worker processes are to be spawned.
 """
