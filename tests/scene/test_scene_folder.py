@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import shutil
@@ -283,7 +284,7 @@ def test_junk_anywhere_in_scene_json_is_an_error_or_a_scene(data: st.DataObject,
         for key in way:
             target = target[key]
         if data.draw(st.booleans()):
-            target[last] = data.draw(JUNK)
+            target[last] = copy.deepcopy(data.draw(JUNK))
         else:
             del target[last]
     (scene_folder / "scene.json").write_text(json.dumps(record))
