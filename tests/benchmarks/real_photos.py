@@ -14,7 +14,7 @@ from pathlib import Path
 from toolkit.progress import TqdmProgress
 from toolkit.recipes.registry import find_recipe
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.index import list_runs, run_folders
+from toolkit.runs.index import run_folders, summarise
 from toolkit.runs.launch import create_run, execute
 from toolkit.runs.result import StoredResult
 
@@ -25,9 +25,9 @@ STAGES = ("features", "matches", "sfm", "undistort", "train", "measure")
 
 def finished_run(name: str, data: Path, runs_dir: Path) -> RunFolder:
     """Return the newest finished run of this name, or make it."""
-    done = {run.id for run in list_runs(runs_dir) if run.state == "finished" and run.name == name}
     for folder in reversed(run_folders(runs_dir)):
-        if folder.id in done:
+        summary = summarise(folder)
+        if summary.state == "finished" and summary.name == name:
             return folder
     recipe = find_recipe(RECIPE)
     run = create_run(recipe, data / name, recipe.settings_type(), runs_dir, name=name)
