@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from toolkit.scene.folder import read_scene
 
 from toolkit.errors import Cancelled, DataError, StageError
 from toolkit.progress import ProgressEvent
 from toolkit.samples.make import ORIGIN, SampleSettings, make_sample, read_depth
 from toolkit.samples.town import Town, build_town
 from toolkit.scene import Scene
+from toolkit.scene.folder import read_scene
 
 Judge = Callable[[Town, NDArray[np.float64]], NDArray[np.float64]]
 
