@@ -110,9 +110,6 @@ class Workspace:
         try:
             if folder.exists():
                 return StageOutput(folder, key, _recorded_seconds(folder), reused=True)
-            # The lock is ours, so what lies here of this output was left by a process that was killed.
-            for leftover in self.root.glob(f".{name}-{key}.*.tmp"):
-                shutil.rmtree(leftover)
             temporary = self.root / f".{name}-{key}.{uuid.uuid4().hex[:8]}.tmp"
             try:
                 with disk_errors(self.root, "writing stage output below"):
