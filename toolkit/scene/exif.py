@@ -1,4 +1,4 @@
-"""What EXIF says of a photo: camera, focal length in pixels and GPS position."""
+"""What a photo's tags (EXIF, XMP) say: camera, focal length in pixels, place, attitude, time."""
 
 from __future__ import annotations
 
@@ -7,12 +7,18 @@ import struct
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta, timezone
 from typing import Any
 
 from PIL import ExifTags, Image
 
+from toolkit.geometry.attitude import Attitude
+from toolkit.scene.xmp import read_drone_tags
+
 _MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)
+# From below the Dead Sea to the highest balloon, in metres.
+_LOWEST, _HIGHEST = -1000.0, 50_000.0
 
 
 class _Doubtful(ValueError):
@@ -31,7 +37,19 @@ class PhotoTags:
         Focal length in pixels of the stored picture, or None.
     position:
         WGS84 latitude and longitude in degrees and altitude in metres, or None. Most cameras write the altitude
-        above sea level, some above the ellipsoid or above a place of their own: EXIF does not tell.
+        above sea level, some above the ellipsoid or above a place of their own.
+    above_ellipsoid:
+        Whether the tags say that the altitude is above the ellipsoid (True), above the sea (False) or nothing (None).
+    position_sigma:
+        Standard deviation east, north and up in metres, as RTK receivers write it, or None.
+    relative_altitude:
+        Metres above the place of take-off, or None.
+    gimbal, flight:
+        Attitude of the camera and of the drone, or None.
+    orientation:
+        EXIF's orientation, 1 (upright) to 8, or None.
+    time:
+        When it was taken, in seconds since 1970, or None. Without an offset in the tags it is local time.
     doubts:
         Why tags that are there were not used.
     """
@@ -39,6 +57,13 @@ class PhotoTags:
     camera: str = ""
     focal: float | None = None
     position: tuple[float, float, float] | None = None
+    above_ellipsoid: bool | None = None
+    position_sigma: tuple[float, float, float] | None = None
+    relative_altitude: float | None = None
+    gimbal: Attitude | None = None
+    flight: Attitude | None = None
+    orientation: int | None = None
+    time: float | None = None
     doubts: tuple[str, ...] = ()
 
 
@@ -65,7 +90,24 @@ def read_tags(picture: Image.Image) -> PhotoTags:
         tags = replace(tags, position=_position(gps))
     except _Doubtful as error:
         doubts.append(f"GPS position left out: {error}")
-    return replace(tags, doubts=tuple(doubts))
+    try:
+        tags = replace(tags, orientation=_orientation(base))
+    except _Doubtful as error:
+        doubts.append(str(error))
+    try:
+        tags = replace(tags, time=_time(base, photo))
+    except _Doubtful as error:
+        doubts.append(f"capture time left out: {error}")
+    drone = read_drone_tags(picture.info.get("xmp"))
+    return replace(
+        tags,
+        above_ellipsoid=_above_ellipsoid(gps) if drone.above_ellipsoid is None else drone.above_ellipsoid,
+        position_sigma=drone.position_sigma,
+        relative_altitude=drone.relative_altitude,
+        gimbal=drone.gimbal,
+        flight=drone.flight,
+        doubts=(*doubts, *drone.doubts),
+    )
 
 
 def _exif(picture: Image.Image) -> Image.Exif:
@@ -134,13 +176,50 @@ def _position(gps: Mapping[int, Any]) -> tuple[float, float, float] | None:
     if 6 not in gps:
         raise _Doubtful("there is no altitude")
     altitude = _number(gps[6], "altitude")
-    below = gps.get(5, b"\0")
-    # 0 and 1: above and below sea level; 2 and 3: above and below the ellipsoid (EXIF 3.0).
-    if (below[0] if isinstance(below, bytes) and below else below) in (1, 3):
+    if _altitude_reference(gps) in (1, 3):
         altitude = -altitude
-    if not -12_000.0 < altitude < 100_000.0:
-        raise _Doubtful(f"the altitude is {altitude:g} m")
+    if not _LOWEST <= altitude <= _HIGHEST:
+        raise _Doubtful(f"the altitude is {altitude:g} m, expected {_LOWEST:g} to {_HIGHEST:g}")
     return latitude, longitude, altitude
+
+
+def _altitude_reference(gps: Mapping[int, Any]) -> int | None:
+    """Return 0 and 1 for above and below sea level, 2 and 3 for above and below the ellipsoid (EXIF 3.0)."""
+    value = gps.get(5)
+    if isinstance(value, bytes):
+        value = value[0] if value else None
+    return value if isinstance(value, int) and 0 <= value <= 3 else None
+
+
+def _above_ellipsoid(gps: Mapping[int, Any]) -> bool | None:
+    reference = _altitude_reference(gps)
+    return None if reference is None or 6 not in gps else reference >= 2
+
+
+def _orientation(base: Mapping[int, Any]) -> int | None:
+    value = base.get(0x0112)
+    if value is None:
+        return None
+    if not isinstance(value, int) or not 1 <= value <= 8:
+        raise _Doubtful(f"its orientation tag is {value}, expected 1 to 8; it is taken as upright")
+    return value
+
+
+def _time(base: Mapping[int, Any], photo: Mapping[int, Any]) -> float | None:
+    text, offset = _text(photo.get(0x9003)), _text(photo.get(0x9011))
+    fraction = _text(photo.get(0x9291))
+    if not text:
+        text, offset, fraction = _text(base.get(0x0132)), "", ""
+    if not text.strip(" :0"):
+        return None
+    try:
+        moment = datetime.strptime(text, "%Y:%m:%d %H:%M:%S")
+        zone = datetime.strptime(offset, "%z").utcoffset() if offset else None
+    except ValueError as error:
+        raise _Doubtful(f"'{text[:40]}' is not year:month:day hour:minute:second") from error
+    moment = moment.replace(tzinfo=timezone(zone or timedelta()))
+    digits = fraction if fraction.isascii() and fraction.isdigit() else "0"
+    return moment.timestamp() + int(digits[:9]) / 10 ** len(digits[:9])
 
 
 def _degrees(gps: Mapping[int, Any], side_tag: int, tag: int, name: str, sides: str, largest: float) -> float:

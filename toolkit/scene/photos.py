@@ -12,7 +12,9 @@ import numpy as np
 import pycolmap
 
 from toolkit.errors import DataError
+from toolkit.geometry.attitude import cam_from_enu
 from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.progress import Progress, silent, track
 from toolkit.scene.colmap_model import check_name
 from toolkit.scene.exif import PhotoTags, read_tags
@@ -72,7 +74,8 @@ def scene_from_photos(
     -------
     The scene, with start focal lengths from EXIF or 1.2 times the longer side, and EXIF positions as priors in a
     local east-north-up frame whose origin is the first position (altitudes are taken as they are written, most
-    often above sea level); and warnings about tags that were left out.
+    often above sea level), with the gimbal's attitude and the RTK receiver's accuracy where XMP has them; and
+    warnings about tags that were left out.
 
     Raises
     ------
@@ -89,7 +92,11 @@ def scene_from_photos(
     photos = [_read(image_dir, name, check) for name in track(names, "photos", progress)]
     cameras, camera_ids = _cameras(photos, camera_model, share_camera)
     georeference, priors = _priors(photos)
-    frames = tuple(Frame(photo.name, camera_ids[photo.name], prior=priors.get(photo.name)) for photo in photos)
+    times = _times(photos)
+    frames = tuple(
+        Frame(photo.name, camera_ids[photo.name], time=times.get(photo.name), prior=priors.get(photo.name))
+        for photo in photos
+    )
     mask_dir = folder / "masks" if (folder / "masks").is_dir() else None
     scene = Scene(image_dir, cameras, frames, mask_dir=mask_dir, georeference=georeference)
     return PhotoFolder(scene, _warnings(photos))
@@ -164,16 +171,35 @@ def _cameras(photos: Sequence[_Photo], model: str, share: bool) -> tuple[dict[in
 
 
 def _priors(photos: Sequence[_Photo]) -> tuple[Georeference | None, Mapping[str, PosePrior]]:
-    """Return the origin and the position priors in metres east, north and up of it."""
-    placed = [(photo.name, photo.tags.position) for photo in photos if photo.tags.position is not None]
+    """Return the origin and the priors: metres east, north and up of it, and the camera's rotation by the gimbal.
+
+    The rotation is relative to east, north and up at the photo, which differ from those at the origin by 0.01
+    degrees a kilometre.
+    """
+    placed = [(photo, photo.tags.position) for photo in photos if photo.tags.position is not None]
     if not placed:
         return None, {}
     origin = placed[0][1]
-    geodetic = np.array([position for _, position in placed])
-    transform = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84)
-    enu = np.asarray(transform.ellipsoid_to_enu(geodetic, *origin))
-    priors = {name: PosePrior(position=row) for (name, _), row in zip(placed, enu, strict=True)}
+    enu = enu_from_geodetic([position for _, position in placed], origin)
+    positions = {photo.name: row for (photo, _), row in zip(placed, enu, strict=True)}
+    priors = {}
+    for photo in photos:
+        tags = photo.tags
+        if photo.name not in positions and tags.gimbal is None:
+            continue
+        priors[photo.name] = PosePrior(
+            position=positions.get(photo.name),
+            position_sigma=np.array(tags.position_sigma) if tags.position_sigma and tags.position else None,
+            rotation=None if tags.gimbal is None else cam_from_enu(tags.gimbal),
+        )
     return Georeference(*origin), priors
+
+
+def _times(photos: Sequence[_Photo]) -> Mapping[str, float]:
+    """Return seconds since the first photo was taken."""
+    taken = {photo.name: photo.tags.time for photo in photos if photo.tags.time is not None}
+    start = min(taken.values(), default=0.0)
+    return {name: time - start for name, time in taken.items()}
 
 
 def _warnings(photos: Sequence[_Photo]) -> tuple[str, ...]:
@@ -186,6 +212,12 @@ def _warnings(photos: Sequence[_Photo]) -> tuple[str, ...]:
     if 0 < placed < len(photos):
         without = [photo.name for photo in photos if photo.tags.position is None]
         troubles[f"no GPS position, which {placed} others have"] = without
+    turned = [photo.name for photo in photos if photo.tags.orientation not in (None, 1)]
+    if turned:
+        troubles["to be shown turned, by their orientation tag; the pixels are used as they are stored"] = turned
+    upright = [photo.name for photo in photos if photo.height > photo.width]
+    if 0 < len(upright) < len(photos):
+        troubles["portrait format among landscape ones; each format gets a camera of its own"] = upright
     return tuple(
         f"{len(names)} of {len(photos)} photos: {what} ({_some(names)})" for what, names in troubles.items()
     )
