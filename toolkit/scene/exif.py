@@ -39,7 +39,8 @@ class PhotoTags:
         WGS84 latitude and longitude in degrees and altitude in metres, or None. Most cameras write the altitude
         above sea level, some above the ellipsoid or above a place of their own.
     above_ellipsoid:
-        Whether the tags say that the altitude is above the ellipsoid (True), above the sea (False) or nothing (None).
+        Whether the tags say that the altitude is above the ellipsoid (True) or above the sea
+        (False); None where they do not say.
     position_sigma:
         Standard deviation east, north and up in metres, as RTK receivers write it, or None.
     relative_altitude:
