@@ -114,5 +114,6 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise DataError(f"{path} is missing", expected="a JSON file") from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    # ValueError: no Unicode, no JSON, or a number of more digits than Python converts.
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"Cannot read {path}", expected="a JSON file", found=str(error)) from error

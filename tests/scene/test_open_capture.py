@@ -19,6 +19,7 @@ from toolkit.scene import Frame, Points, PosePrior, Scene, Tracks
 from toolkit.scene.colmap import write_colmap
 from toolkit.scene.dataset import capture_fingerprint, open_capture
 from toolkit.scene.folder import write_scene
+from toolkit.scene.transforms import write_transforms
 
 NAMES = tuple(f"{i}.jpg" for i in range(1, 13))
 CAMERA = ColmapCamera("PINHOLE", 40, 30, (33.0, 34.0, 20.0, 15.0))
@@ -151,6 +152,72 @@ class TestColmapFolder:
         scene = posed(tmp_path / "images")
         write_colmap(scene.replace(cameras={3: CAMERA.scaled(80, 60)}), tmp_path / "sparse/0")
         with pytest.raises(DataError, match=r"1\.jpg does not fit its camera; expected 80x60 pixels; found 40x30"):
+            open_capture(tmp_path)
+
+
+class TestTransforms:
+    """A nerfstudio folder."""
+
+    def test_its_poses_are_the_reference_and_its_cameras_and_masks_the_scenes(self, tmp_path: Path) -> None:
+        pictures(tmp_path / "images")
+        (tmp_path / "masks/images").mkdir(parents=True)
+        Image.new("L", (40, 30)).save(tmp_path / "masks/images/3.jpg.png")
+        names = tuple(f"images/{name}" for name in NAMES[2:])
+        write_transforms(posed(tmp_path, names).replace(mask_dir=tmp_path / "masks"), tmp_path / "transforms.json")
+        events: list[ProgressEvent] = []
+        capture = open_capture(tmp_path, progress=events.append)
+        assert [frame.name for frame in capture.scene.frames] == list(names)
+        assert capture.reference is not None
+        assert [frame.name for frame in capture.reference.frames] == list(names)
+        assert len(capture.reference.registered) == 10
+        assert capture.reference.points is not None
+        np.testing.assert_allclose(capture.reference.centres()[:, 0], np.arange(10), atol=1e-14)
+        assert capture.scene.registered == ()
+        assert capture.scene.points is None
+        assert {capture.scene.camera_of(frame) for frame in capture.scene.frames} == {CAMERA}
+        assert capture.scene.mask_path(capture.scene.frames[0]) == tmp_path / "masks/images/3.jpg.png"
+        # Every eighth in the order of the names as text: 10, 11, 12, 3, 4, 5, 6, 7, 8, 9.
+        expected = ["images/8.jpg", "images/10.jpg"]
+        assert held_out(capture.scene) == held_out(capture.reference) == expected
+        assert events[-1].done == 10
+        assert len(capture_fingerprint(capture.scene)) == 64
+
+    def test_its_own_split_stays(self, tmp_path: Path) -> None:
+        scene = posed(pictures(tmp_path))
+        frames = (*scene.frames[:4], dataclasses.replace(scene.frames[4], split="test"), *scene.frames[5:])
+        write_transforms(scene.replace(frames=frames), tmp_path / "transforms.json")
+        assert held_out(open_capture(tmp_path).scene) == ["5.jpg"]
+
+    def test_a_scene_file_beside_it_counts_first_and_a_colmap_model_after_it(self, tmp_path: Path) -> None:
+        pictures(tmp_path / "images")
+        full = posed(tmp_path, tuple(f"images/{name}" for name in NAMES))
+        write_colmap(posed(tmp_path / "images", NAMES[:3]), tmp_path / "sparse/0")
+        write_transforms(full, tmp_path / "transforms.json")
+        reference = open_capture(tmp_path).reference
+        assert reference is not None
+        assert len(reference.registered) == 12
+        write_scene(posed(tmp_path / "images", NAMES[:4]), tmp_path)
+        reference = open_capture(tmp_path).reference
+        assert reference is not None
+        assert len(reference.registered) == 4
+
+    def test_missing_damaged_and_resized_pictures_are_named(self, tmp_path: Path) -> None:
+        write_transforms(posed(pictures(tmp_path)), tmp_path / "transforms.json")
+        path = tmp_path / "7.jpg"
+        path.write_bytes(path.read_bytes()[:-10])
+        with pytest.raises(DataError, match=r"7\.jpg is cut off or damaged"):
+            open_capture(tmp_path)
+        Image.new("RGB", (20, 15)).save(path)
+        with pytest.raises(DataError, match=r"7\.jpg does not fit its camera; expected 40x30 pixels; found 20x15"):
+            open_capture(tmp_path, check=False)
+        path.unlink()
+        with pytest.raises(DataError, match=r"7\.jpg is missing"):
+            open_capture(tmp_path)
+
+    def test_a_damaged_file_is_an_error_and_not_a_folder_of_photos(self, tmp_path: Path) -> None:
+        write_transforms(posed(pictures(tmp_path)), tmp_path / "transforms.json")
+        (tmp_path / "transforms.json").write_text((tmp_path / "transforms.json").read_text()[:100])
+        with pytest.raises(DataError, match=r"Cannot read .*transforms\.json"):
             open_capture(tmp_path)
 
 

@@ -145,12 +145,12 @@ class Crash(BaseException):
     """Stands for a killed process."""
 
 
-@pytest.mark.parametrize("where", ["_copy_pictures", "write_json"])
+@pytest.mark.parametrize("where", ["copy_pictures", "write_json"])
 def test_a_crash_in_the_middle_leaves_no_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
     scene = with_pictures(tmp_path / "capture")
     write_scene(scene, tmp_path / "scene", copy_images=True)
 
-    def crash(*_: object) -> None:
+    def crash(*_: object, **__: object) -> None:
         raise Crash
 
     monkeypatch.setattr(folder, where, crash)

@@ -104,6 +104,39 @@ def test_we_read_what_gsplat_exports(tmp_path: Path, coefficients: int) -> None:
         assert torch.equal(mine, other), name
 
 
+@pytest.mark.parametrize("coefficients", [1, 4, 16])
+def test_ours_is_gsplats_file_but_for_the_normals(tmp_path: Path, coefficients: int) -> None:
+    """The same properties in the same order with the same numbers; gsplat leaves out INRIA's normals."""
+    exporter = pytest.importorskip("gsplat.exporter")
+    gaussians = some(7, coefficients)
+    write_splats(gaussians, tmp_path / "ours.ply")
+    exporter.export_splats(
+        means=gaussians.means,
+        scales=gaussians.log_scales,
+        quats=gaussians.quaternions,
+        opacities=gaussians.opacity_logits,
+        sh0=gaussians.sh[:, :1],
+        shN=gaussians.sh[:, 1:],
+        format="ply",
+        save_to=str(tmp_path / "theirs.ply"),
+    )
+    ours, theirs = (PlyData.read(str(tmp_path / name))["vertex"] for name in ("ours.ply", "theirs.ply"))
+    kept = [prop for prop in ours.properties if prop.name not in ("nx", "ny", "nz")]
+    assert [str(prop) for prop in kept] == [str(prop) for prop in theirs.properties]
+    for prop in kept:
+        np.testing.assert_array_equal(ours[prop.name], theirs[prop.name], err_msg=prop.name)
+
+
+def test_a_header_that_claims_too_many_is_refused_before_anything_is_allocated(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    write_splats(some(3, 4), path)
+    path.write_bytes(path.read_bytes().replace(b"element vertex 3", b"element vertex 90000000000000000"))
+    with pytest.raises(
+        DataError, match=r"expected 90000000000000000 vertices of 104 bytes; found 312 bytes for them"
+    ):
+        read_splats(path)
+
+
 def test_other_types_orders_and_more_properties_are_read(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     names = [*reversed(FEWEST), "confidence", *(f"f_rest_{i}" for i in reversed(range(9)))]

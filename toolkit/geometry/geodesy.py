@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pycolmap
 from numpy.typing import ArrayLike, NDArray
@@ -38,7 +41,7 @@ def geodetic_from_ecef(ecef: ArrayLike) -> Array:
     return _mapped(ecef, lambda transform, rows: transform.ecef_to_ellipsoid(rows))
 
 
-def _mapped(rows, method) -> Array:  # type: ignore[no-untyped-def]
+def _mapped(rows: ArrayLike, method: Callable[[pycolmap.GPSTransform, Array], Any]) -> Array:
     array = np.asarray(rows, dtype=np.float64).reshape(-1, 3)
     if not len(array):
         return np.zeros((0, 3))

@@ -16,6 +16,7 @@ from toolkit.scene.photos import scene_from_photos
 from toolkit.scene.pictures import check_picture, picture_size
 from toolkit.scene.records import camera_record, frame_record, georeference_record
 from toolkit.scene.scene import Scene
+from toolkit.scene.transforms import TRANSFORMS_FILE, read_transforms
 from toolkit.workspace import file_fingerprint, fingerprint
 
 _TEST_EVERY = 8
@@ -44,12 +45,14 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
     """Open a data folder by what lies in it.
 
     - ``scene.json``: a scene folder; its poses become the reference.
+    - ``transforms.json``: a nerfstudio folder; its poses and points become the reference, its pictures, cameras and
+      masks are the scene's. Pictures that it does not name are left out.
     - ``images/`` and a COLMAP model in ``sparse/``: its poses become the reference, the one with most images where
       there are several; its cameras are the scene's, too.
     - ``images/`` and ``gt_dense_cameras/``: the EPFL benchmark; its cameras are the reference only.
     - photos, in ``images/`` or directly.
 
-    Every eighth frame is a test frame, unless ``scene.json`` names test frames of its own.
+    Every eighth frame is a test frame, unless ``scene.json`` or ``transforms.json`` names test frames of its own.
 
     Parameters
     ----------
@@ -68,7 +71,9 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
     if not folder.is_dir():
         raise DataError(f"Folder {folder} is missing", expected="a folder with pictures or a scene")
     if (folder / SCENE_FILE).exists():
-        return _scene_folder(folder, check, progress)
+        return _whole_scene(read_scene(folder), check, progress)
+    if (folder / TRANSFORMS_FILE).exists():
+        return _whole_scene(read_transforms(folder / TRANSFORMS_FILE), check, progress)
     photos = scene_from_photos(folder, check=check, progress=progress)
     scene = photos.scene.with_every_nth_as_test(_TEST_EVERY)
     warnings = photos.warnings
@@ -82,8 +87,8 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
     return Capture(scene, None, warnings)
 
 
-def _scene_folder(folder: Path, check: bool, progress: Progress) -> Capture:
-    full = read_scene(folder)
+def _whole_scene(full: Scene, check: bool, progress: Progress) -> Capture:
+    """Return a scene that a file describes, with its own poses as the reference."""
     if not any(frame.split == "test" for frame in full.frames):
         full = full.with_every_nth_as_test(_TEST_EVERY)
     _check_sizes(full)

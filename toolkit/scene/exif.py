@@ -207,8 +207,8 @@ def _orientation(base: Mapping[int, Any]) -> int | None:
 
 
 def _time(base: Mapping[int, Any], photo: Mapping[int, Any]) -> float | None:
-    text, offset = _text(photo.get(0x9003)), _text(photo.get(0x9011))
-    fraction = _text(photo.get(0x9291))
+    text, fraction = _text(photo.get(0x9003)), _text(photo.get(0x9291))
+    offset = _text(photo.get(0x9011)).strip(" :")  # where it is unknown, EXIF has spaces around the colon
     if not text:
         text, offset, fraction = _text(base.get(0x0132)), "", ""
     if not text.strip(" :0"):

@@ -77,7 +77,7 @@ def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progre
             folder.mkdir(parents=True, exist_ok=True)
             (folder / SCENE_FILE).unlink(missing_ok=True)
             if copy_images:
-                _copy_pictures(scene, folder, progress)
+                copy_pictures(scene, folder / "images", folder / "masks", progress=progress)
             move_in()
     write_json(folder / SCENE_FILE, record)
 
@@ -108,12 +108,21 @@ def _place(target: Path, folder: Path) -> str:
     return (absolute.relative_to(inside) if absolute.is_relative_to(inside) else absolute).as_posix()
 
 
-def _copy_pictures(scene: Scene, folder: Path, progress: Progress) -> None:
+def copy_pictures(scene: Scene, images: Path, masks: Path, *, progress: Progress = silent) -> None:
+    """Copy the scene's pictures and masks, each in one step, to folders that may be there already.
+
+    Raises
+    ------
+    DataError
+        Where a picture is missing.
+    RunError
+        When the disk is full or a folder may not be written.
+    """
     for frame in track(scene.frames, "scene.copy", progress):
-        pairs = [(scene.image_path(frame), folder / "images" / frame.name)]
+        pairs = [(scene.image_path(frame), images / frame.name)]
         mask = scene.mask_path(frame)
         if mask is not None:
-            pairs.append((mask, folder / "masks" / f"{frame.name}.png"))
+            pairs.append((mask, masks / f"{frame.name}.png"))
         for source, target in pairs:
             if not source.is_file():
                 raise DataError(f"Picture {source} is missing", todo="Put it back or take it out of the scene")

@@ -38,7 +38,7 @@ def camera_record(camera: Camera) -> dict[str, Any]:
 def camera_from_record(record: Any, where: str) -> ColmapCamera:
     """Return a camera from its table. Raises :class:`DataError` naming ``where``."""
     params = field(record, "params", list, where)
-    numbers = [_finite(value, f"params of {where}") for value in params]
+    numbers = [finite(value, f"params of {where}") for value in params]
     width, height = field(record, "width", int, where), field(record, "height", int, where)
     camera = checked_camera(field(record, "model", str, where), width, height, numbers, where)
     return dataclasses.replace(camera, prior_focal_length=field(record, "prior_focal_length", bool, where))
@@ -86,7 +86,7 @@ def frame_from_record(record: Any, where: str) -> Frame:
         name=name,
         camera_id=field(record, "camera", int, where),
         split=_split(field(record, "split", str, where), where),
-        time=None if time is None else _finite(time, f"time of {where}"),
+        time=None if time is None else finite(time, f"time of {where}"),
         prior=None if prior is None else _prior(prior, where),
     )
 
@@ -100,7 +100,9 @@ def _split(value: str, where: str) -> Split:
 
 
 def _prior(record: Mapping[str, Any], where: str) -> PosePrior:
-    values = {key: _numbers(record.get(key), shape, f"{key} of {where}") for key, shape in _PRIOR_SHAPES.items()}
+    values = {
+        key: finite_array(record.get(key), shape, f"{key} of {where}") for key, shape in _PRIOR_SHAPES.items()
+    }
     rotation = values["rotation"]
     if rotation is not None:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -110,14 +112,21 @@ def _prior(record: Mapping[str, Any], where: str) -> PosePrior:
     return PosePrior(**values)
 
 
-def _numbers(value: Any, shape: tuple[int, ...], where: str) -> NDArray[np.float64] | None:
+def finite_array(value: Any, shape: tuple[int, ...], where: str) -> NDArray[np.float64] | None:
+    """Return nested lists of numbers as an array of one or two dimensions, None as None.
+
+    Raises
+    ------
+    DataError
+        Naming ``where``, for another shape and for what is no finite number.
+    """
     if value is None:
         return None
     rows = value if len(shape) == 2 else [value]
     right = isinstance(rows, list) and len(rows) == (shape[0] if len(shape) == 2 else 1)
     if not right or not all(isinstance(row, list) and len(row) == shape[-1] for row in rows):
         raise DataError(f"Cannot read the {where}", expected=f"{shape} numbers", found=repr(value)[:80])
-    return np.array([[_finite(number, where) for number in row] for row in rows]).reshape(shape)
+    return np.array([[finite(number, where) for number in row] for row in rows]).reshape(shape)
 
 
 def georeference_record(georeference: Georeference | None) -> dict[str, float] | None:
@@ -136,7 +145,7 @@ def georeference_from_record(record: Any, where: str) -> Georeference | None:
         return None
     keys = ("latitude", "longitude", "altitude")
     latitude, longitude, altitude = (
-        _finite(field(record, key, (int, float), where), f"{key} of {where}") for key in keys
+        finite(field(record, key, (int, float), where), f"{key} of {where}") for key in keys
     )
     if not (abs(latitude) <= 90 and abs(longitude) <= 180):
         raise DataError(f"The origin in {where} is no place on Earth", found=f"{latitude}, {longitude}")
@@ -160,7 +169,8 @@ def field(record: Any, key: str, kind: type | tuple[type, ...], where: str, *, o
     return value
 
 
-def _finite(value: Any, where: str) -> float:
+def finite(value: Any, where: str) -> float:
+    """Return a number. Raises :class:`DataError` naming ``where`` for what is none, NaN or infinite."""
     try:
         number = float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan
     except OverflowError:

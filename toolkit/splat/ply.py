@@ -94,23 +94,30 @@ def write_splats(gaussians: Gaussians, path: Path) -> None:
     RunError
         When the disk is full or the folder may not be written.
     """
-    sh = _array(gaussians.sh, "sh")
+    sh = finite_array(gaussians.sh, "sh")
     count, rest = len(sh), 3 * (sh.shape[1] - 1)
     blocks = {
-        _MEANS: _array(gaussians.means, "means"),
+        _MEANS: finite_array(gaussians.means, "means"),
         _NORMALS: np.zeros((count, 3), np.float32),
         _COLOUR: sh[:, 0, :],
         tuple(f"f_rest_{i}" for i in range(rest)): sh[:, 1:, :].transpose(0, 2, 1).reshape(count, rest),
-        ("opacity",): _array(gaussians.opacity_logits, "opacity_logits")[:, None],
-        _SCALES: _array(gaussians.log_scales, "log_scales"),
-        _QUATERNION: _array(gaussians.quaternions, "quaternions"),
+        ("opacity",): finite_array(gaussians.opacity_logits, "opacity_logits")[:, None],
+        _SCALES: finite_array(gaussians.log_scales, "log_scales"),
+        _QUATERNION: finite_array(gaussians.quaternions, "quaternions"),
     }
     names = [name for block in blocks for name in block]
     table = np.concatenate(list(blocks.values()), axis=1).astype("<f4")
     write_vertices(table.view([(name, "<f4") for name in names])[:, 0], path)
 
 
-def _array(parameter: torch.Tensor, name: str) -> NDArray[np.float32]:
+def finite_array(parameter: torch.Tensor, name: str) -> NDArray[np.float32]:
+    """Return a parameter as float32 on the CPU, all finite.
+
+    Raises
+    ------
+    NumericalError
+        Where it is not; the message names it by ``name``, and the row.
+    """
     values = parameter.detach().to(device="cpu", dtype=torch.float32).numpy()
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
