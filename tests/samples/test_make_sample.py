@@ -129,7 +129,7 @@ def test_priors_scatter_about_the_truth_by_their_sigma(tmp_path: Path) -> None:
             "flight.image_width": 16,
             "flight.image_height": 16,
             "flight.samples": 1,
-            "flight.prior_sigma": 2.0,
+            **{f"sensors.position_sigma_{axis}": 2.0 for axis in ("east", "north", "up")},
             "points": 0,
         }
     )

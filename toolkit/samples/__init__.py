@@ -2,12 +2,15 @@
 
 from toolkit.samples.flights import FlightSettings, flight_camera, flight_poses
 from toolkit.samples.make import SampleSettings, depth_path, make_sample, read_depth
+from toolkit.samples.sensors import SensorSettings
 from toolkit.samples.town import RenderedView, Town, TownSettings, build_town, render_view
+from toolkit.samples.video import write_srt, write_video
 
 __all__ = [
     "FlightSettings",
     "RenderedView",
     "SampleSettings",
+    "SensorSettings",
     "Town",
     "TownSettings",
     "build_town",
@@ -17,4 +20,6 @@ __all__ = [
     "make_sample",
     "read_depth",
     "render_view",
+    "write_srt",
+    "write_video",
 ]

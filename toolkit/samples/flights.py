@@ -60,9 +60,6 @@ class FlightSettings(Settings):
     image_height = Integer(360, bounds=(16, 4096), unit="px", doc="Height of the pictures.")
     horizontal_fov = Number(65.0, bounds=(15.0, 120.0), unit="deg", doc="Horizontal field of view.")
     samples = Integer(4, bounds=(1, 32), doc="Rays for a pixel on an outline; inside surfaces texture is filtered.")
-    prior_sigma = Number(
-        1.0, bounds=(0.001, 50.0), unit="m", doc="Standard deviation of the position priors on each axis."
-    )
 
 
 def flight_camera(settings: FlightSettings) -> ColmapCamera:

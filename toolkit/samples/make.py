@@ -7,6 +7,7 @@ import uuid
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,18 @@ from PIL import Image
 
 from toolkit.errors import DataError, StageError
 from toolkit.files import disk_errors, write_json
-from toolkit.geometry.cameras import Camera
+from toolkit.geometry.cameras import Camera, ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
+from toolkit.optional import require
 from toolkit.progress import Progress, silent, track
 from toolkit.samples.flights import FlightSettings, flight_camera, flight_poses
+from toolkit.samples.sensors import SensorReading, SensorSettings, prior_of, read_sensors, tags_of
 from toolkit.samples.town import Material, RenderedView, Town, TownSettings, build_town, render_view
-from toolkit.scene import Frame, Georeference, Points, PosePrior, Scene
+from toolkit.samples.video import write_srt, write_video
+from toolkit.scene import Frame, Georeference, Points, Scene
 from toolkit.scene.folder import read_scene, write_scene
-from toolkit.settings import Group, Integer, Settings
+from toolkit.scene.tag_writer import exif_block, xmp_packet
+from toolkit.settings import Boolean, Group, Integer, Settings
 
 ORIGIN = Georeference(latitude=48.0, longitude=9.0, altitude=600.0)
 """Where the town is said to lie."""
@@ -36,16 +41,19 @@ class SampleSettings(Settings):
 
     town = Group(TownSettings())
     flight = Group(FlightSettings())
+    sensors = Group(SensorSettings())
     points = Integer(4000, bounds=(0, 1000000), doc="Number of surface points in the true scene, at most.")
+    video = Boolean(False, doc="Also write the pictures as flight.mp4 and the sensors' readings as flight.srt.")
 
 
 def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progress: Progress = silent) -> Scene:
     """Fly over a town and write what the camera saw, with the truth, to a scene folder.
 
     The folder holds the scene (poses, camera, priors, surface points; every eighth frame is a test frame), its
-    pictures in ``images/``, for each frame a depth map in ``depth/<frame name>.npz`` (see :func:`read_depth`) and
-    ``sample.json`` with settings and seed. It appears whole or not at all. The same settings and seed give the
-    same files on the same machine.
+    pictures in ``images/`` (with the priors in their tags, as a drone writes them), for each frame a depth map in
+    ``depth/<frame name>.npz`` (see :func:`read_depth`) and ``sample.json`` with settings and seed. It appears whole
+    or not at all. The same settings and seed give the same files on the same machine. With ``video`` there is the
+    flight as ``flight.mp4`` too, in real time, and the priors as DJI's subtitles in ``flight.srt``.
 
     Returns
     -------
@@ -58,7 +66,11 @@ def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progre
         When ``folder`` exists and is not empty, or the flight is blocked.
     RunError
         When the disk is full or may not be written.
+    MissingDependencyError
+        When a video is wanted and PyAV is missing.
     """
+    if settings.video:
+        require("av")  # before the work of rendering
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise StageError(
             f"{folder} is in the way", expected="a new or an empty folder", todo="Choose another or move it away"
@@ -72,6 +84,10 @@ def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progre
             (temporary / "depth").mkdir()
             scene = _fly(temporary, town, poses, settings, seed, progress)
             write_scene(scene, temporary)
+            if settings.video:
+                rate = 1 / settings.flight.frame_interval
+                write_video(scene, temporary / "flight.mp4", frames_per_second=rate, progress=progress)
+                write_srt(scene, temporary / "flight.srt", frames_per_second=rate)
             write_json(temporary / "sample.json", {"seed": seed, "settings": settings.to_dict()})
             if folder.exists():
                 folder.rmdir()
@@ -123,9 +139,10 @@ def _fly(
 ) -> Scene:
     """Write pictures and depth maps below ``folder`` and return the true scene."""
     camera = flight_camera(settings.flight)
-    noise = np.random.default_rng([seed, _PRIORS])
+    readings = read_sensors(
+        poses, settings.sensors, np.random.default_rng([seed, _PRIORS]), interval=settings.flight.frame_interval
+    )
     chooser = np.random.default_rng([seed, _POINTS])
-    sigma = np.full(3, settings.flight.prior_sigma)
     frames: list[Frame] = []
     clouds: list[tuple[NDArray[np.float64], NDArray[np.uint8]]] = []
     share = -(-settings.points // len(poses))
@@ -135,10 +152,10 @@ def _fly(
             name=f"frame_{number:04d}.jpg",
             camera_id=1,
             cam_from_world=pose,
-            time=number * settings.flight.frame_interval,
-            prior=PosePrior(position=pose.centre + sigma * noise.normal(size=3), position_sigma=sigma),
+            time=readings[number].time,
+            prior=prior_of(readings[number]),
         )
-        Image.fromarray(view.colour).save(folder / "images" / frame.name, quality=_JPEG_QUALITY, subsampling=0)
+        _save(view.colour, folder / "images" / frame.name, camera, readings[number], settings.sensors)
         np.savez_compressed(depth_path(folder, frame), depth=view.depth)
         clouds.append(_sample_points(view, camera, pose, town.settings.extent, share, chooser))
         frames.append(frame)
@@ -151,6 +168,17 @@ def _fly(
         points=Points(xyz, rgb),
         georeference=ORIGIN,
     ).with_every_nth_as_test(_TEST_EVERY)
+
+
+def _save(
+    colour: NDArray[np.uint8], path: Path, camera: ColmapCamera, reading: SensorReading, sensors: SensorSettings
+) -> None:
+    """Write a picture (H, W, 3), with the reading in its tags where the settings say so."""
+    metadata: dict[str, Any] = {}
+    if sensors.write_tags:
+        tags = tags_of(reading, ORIGIN, focal=camera.params[0], rtk=sensors.rtk)
+        metadata = {"exif": exif_block(tags, camera.width, camera.height), "xmp": xmp_packet(tags)}
+    Image.fromarray(colour).save(path, quality=_JPEG_QUALITY, subsampling=0, **metadata)
 
 
 def _sample_points(
