@@ -25,6 +25,10 @@ from toolkit.scene import Scene
 # COLMAP's number of an image pair is (2^31 - 1) * smaller image number + larger one.
 _PAIR_FACTOR = 2**31 - 1
 
+_KINDS = pycolmap.TwoViewGeometryConfiguration
+#: What COLMAP says of pairs that agree by a watermark only, or by nothing.
+NOT_VERIFIED = frozenset(int(kind) for kind in (_KINDS.UNDEFINED, _KINDS.DEGENERATE, _KINDS.WATERMARK))
+
 
 def create_database(path: Path, scene: Scene, cameras: Mapping[int, ColmapCamera]) -> None:
     """Write a new database with the scene's frames, cameras and position priors. One that was there goes.
@@ -105,8 +109,6 @@ def match_counts(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
     DataError
         Where there is no database of COLMAP's.
     """
-    kinds = pycolmap.TwoViewGeometryConfiguration
-    useless = {int(kind) for kind in (kinds.UNDEFINED, kinds.DEGENERATE, kinds.WATERMARK)}
     rows = _read(
         path,
         "SELECT pair_id, matches.rows, two_view_geometries.rows, config "
@@ -114,7 +116,7 @@ def match_counts(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
     )
     table = np.array(
         [
-            (pair, count, 0 if config is None or config in useless else inliers)
+            (pair, count, 0 if config is None or config in NOT_VERIFIED else inliers)
             for pair, count, inliers, config in rows
         ],
         dtype=np.int64,

@@ -13,7 +13,7 @@ SIMPLE_RADIAL.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -21,15 +21,22 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from toolkit.scene import Scene
+
 #: Residuals beyond this many standard deviations lose their weight.
 _LOSS_SCALE = 2.0
+#: The same of measured positions: three coordinates, of which 95 % have a norm below this.
+_PRIOR_LOSS_SCALE = 2.8
 #: Largest standard deviation, as a part of the longer side, of a principal point that counts as determined.
 _DETERMINED = 0.001
 # The cost changes by less than this part in the last step: poses move by far less than their standard deviation.
 _TOLERANCE = 1e-6
 _STEPS = 200
 
-PrincipalPoint = Literal["refined", "fixed", "not determined"]
+#: Largest relative standard deviation of a focal length that counts as determined.
+_FOCAL_DETERMINED = 0.02
+
+Outcome = Literal["refined", "fixed", "not determined"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +52,10 @@ class AdjustmentReport:
     principal_point_sigma:
         Standard deviation of the worst determined coordinate, in pixels, of independent residuals: the true error
         is larger. None where it was not to be refined or cannot be computed.
+    focal:
+        As for the principal point; looked into only where positions are given.
+    focal_sigma:
+        Largest relative standard deviation of a focal length, None where it was not looked into.
     steps:
         Steps of the solver that lowered the cost.
     converged:
@@ -54,8 +65,10 @@ class AdjustmentReport:
     """
 
     noise: float
-    principal_point: PrincipalPoint
+    principal_point: Outcome
     principal_point_sigma: float | None
+    focal: Outcome
+    focal_sigma: float | None
     steps: int
     converged: bool
     observations_removed: int
@@ -75,6 +88,7 @@ def adjust(
     min_angle: float,
     threads: int = 0,
     check_cancelled: Callable[[], None] = lambda: None,
+    priors: Sequence[pycolmap.PosePrior] = (),
 ) -> AdjustmentReport:
     """Adjust poses, points and cameras of ``reconstruction`` in place.
 
@@ -93,6 +107,11 @@ def adjust(
         Of the solver; 0: as many as there are cores.
     check_cancelled:
         Called between the steps; raises to stop.
+    priors:
+        Measured positions with their covariances, which hold the reconstruction where it is (a Cauchy loss keeps
+        wrong ones from bending it); without any, two cameras hold place and scale. With positions, focal lengths
+        are kept unless they are determined to 2 %: over flat ground, pictures that all look down from one height
+        fit any focal length, and positions make it look as if only one height would do.
     """
     noise = residual_noise(reconstruction)
     options = pycolmap.BundleAdjustmentOptions(
@@ -101,11 +120,15 @@ def adjust(
     options.ceres.solver_options.num_threads = threads or -1
     options.ceres.solver_options.function_tolerance = _TOLERANCE
     options.ceres.solver_options.max_num_iterations = _STEPS
+    focal, focal_sigma = _focal(reconstruction, options, noise, priors)
+    options.refine_focal_length = focal == "refined"
+    # The lens cannot be told from the shape of the ground where not even its focal length can.
+    options.refine_extra_params &= focal != "not determined"
     sigma: float | None = None
-    outcome: PrincipalPoint = "fixed"
-    if refine_principal_point:
+    outcome: Outcome = "fixed"
+    if refine_principal_point and focal != "not determined":
         options.refine_principal_point = True
-        sigma = _principal_point_sigma(reconstruction, options, noise)
+        sigma = _sigma(reconstruction, options, noise, priors, "principal point")
         longest = min(max(camera.width, camera.height) for camera in _used_cameras(reconstruction))
         outcome = "refined" if sigma is not None and sigma <= _DETERMINED * longest else "not determined"
         options.refine_principal_point = outcome == "refined"
@@ -113,7 +136,7 @@ def adjust(
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     # A model without noise still needs a positive scale.
     options.ceres.loss_function_scale = max(_LOSS_SCALE * noise, 1e-3)
-    summary = _adjuster(reconstruction, options).solve()
+    summary = _adjuster(reconstruction, options, noise, priors).solve()
     assert isinstance(summary, pycolmap.CeresBundleAdjustmentSummary)
     check_cancelled()
     removed = pycolmap.ObservationManager(reconstruction).filter_all_points3D(max_error, min_angle)
@@ -122,10 +145,35 @@ def adjust(
         noise,
         outcome,
         sigma,
+        focal,
+        focal_sigma,
         summary.ceres_summary.num_successful_steps,
         summary.termination_type == pycolmap.BundleAdjustmentTerminationType.CONVERGENCE,
         int(removed),
     )
+
+
+def position_priors(scene: Scene, reconstruction: pycolmap.Reconstruction) -> list[pycolmap.PosePrior]:
+    """Return the positions of a scene's priors for the registered images, in the scene's world frame.
+
+    Image numbers are the frame's place in the scene plus one. A position without a standard deviation has one metre
+    on each axis.
+    """
+    priors = []
+    for number in sorted(reconstruction.reg_image_ids()):
+        prior = scene.frames[number - 1].prior
+        if prior is None or prior.position is None:
+            continue
+        sigma = np.ones(3) if prior.position_sigma is None else prior.position_sigma
+        priors.append(
+            pycolmap.PosePrior(
+                corr_data_id=reconstruction.image(number).data_id,
+                position=prior.position,
+                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+                position_covariance=np.diag(np.square(sigma)),
+            )
+        )
+    return priors
 
 
 def residual_noise(reconstruction: pycolmap.Reconstruction) -> float:
@@ -148,13 +196,33 @@ def residual_noise(reconstruction: pycolmap.Reconstruction) -> float:
 
 
 def _adjuster(
-    reconstruction: pycolmap.Reconstruction, options: pycolmap.BundleAdjustmentOptions
+    reconstruction: pycolmap.Reconstruction,
+    options: pycolmap.BundleAdjustmentOptions,
+    noise: float,
+    priors: Sequence[pycolmap.PosePrior],
 ) -> pycolmap.CeresBundleAdjuster:
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in reconstruction.reg_image_ids():
         config.add_image(image_id)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    return pycolmap.create_default_ceres_bundle_adjuster(options, config, reconstruction)
+    if not priors:
+        config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+        return pycolmap.create_default_ceres_bundle_adjuster(options, config, reconstruction)
+    # While poses are still coarse the residuals are theirs and not noise of the pixels.
+    pixel = min(max(noise, 1e-3), 1.0)
+    weighted = [
+        pycolmap.PosePrior(
+            corr_data_id=prior.corr_data_id,
+            position=prior.position,
+            coordinate_system=prior.coordinate_system,
+            # COLMAP takes a residual of one pixel for one standard deviation; the positions must keep step.
+            position_covariance=prior.position_covariance / pixel**2,
+        )
+        for prior in priors
+    ]
+    robust = pycolmap.PosePriorBundleAdjustmentOptions()
+    robust.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    robust.ceres.prior_position_loss_scale = _PRIOR_LOSS_SCALE * pixel
+    return pycolmap.create_pose_prior_ceres_bundle_adjuster(options, robust, config, weighted, reconstruction)
 
 
 def _used_cameras(reconstruction: pycolmap.Reconstruction) -> Iterable[pycolmap.Camera]:
@@ -162,15 +230,34 @@ def _used_cameras(reconstruction: pycolmap.Reconstruction) -> Iterable[pycolmap.
     return [reconstruction.camera(number) for number in sorted(numbers)]
 
 
-def _principal_point_sigma(
-    reconstruction: pycolmap.Reconstruction, options: pycolmap.BundleAdjustmentOptions, noise: float
-) -> float | None:
-    """Return the largest standard deviation of a principal point's coordinate in pixels, None where it has none.
+def _focal(
+    reconstruction: pycolmap.Reconstruction,
+    options: pycolmap.BundleAdjustmentOptions,
+    noise: float,
+    priors: Sequence[pycolmap.PosePrior],
+) -> tuple[Outcome, float | None]:
+    """Return whether focal lengths are to be refined, and their relative standard deviation where that decided."""
+    if not options.refine_focal_length:
+        return "fixed", None
+    if not priors:
+        return "refined", None
+    sigma = _sigma(reconstruction, options, noise, priors, "focal length")
+    return "refined" if sigma is not None and sigma <= _FOCAL_DETERMINED else "not determined", sigma
 
-    ``options`` must have the principal point among the unknowns. The covariance is that of independent residuals
-    with standard deviation ``noise``, at the solution that is there.
+
+def _sigma(
+    reconstruction: pycolmap.Reconstruction,
+    options: pycolmap.BundleAdjustmentOptions,
+    noise: float,
+    priors: Sequence[pycolmap.PosePrior],
+    of: Literal["principal point", "focal length"],
+) -> float | None:
+    """Return the largest standard deviation, of a principal point in pixels, of a focal length as part of itself.
+
+    ``options`` must have it among the unknowns. The covariance is that of independent residuals with standard
+    deviation ``noise``, at the solution that is there; None where there is none.
     """
-    adjuster = _adjuster(reconstruction, options)
+    adjuster = _adjuster(reconstruction, options, noise, priors)
     covariance = pycolmap.estimate_ba_covariance(pycolmap.BACovarianceOptions(), reconstruction, adjuster)
     if covariance is None:
         return None
@@ -179,12 +266,14 @@ def _principal_point_sigma(
         of_camera = covariance.get_other_params_cov(camera.params)
         if of_camera is None:
             return None
-        free = list(camera.principal_point_idxs())
+        wanted = list(camera.principal_point_idxs() if of == "principal point" else camera.focal_length_idxs())
+        free = list(camera.principal_point_idxs()) if options.refine_principal_point else []
         free += list(camera.focal_length_idxs()) if options.refine_focal_length else []
         free += list(camera.extra_params_idxs()) if options.refine_extra_params else []
-        rows = np.searchsorted(sorted(free), list(camera.principal_point_idxs()))
+        rows = np.searchsorted(sorted(free), wanted)
         variances: NDArray[np.float64] = np.diagonal(np.asarray(of_camera))[rows]
         if not np.all(np.isfinite(variances)) or np.any(variances < 0):
             return None
-        worst = max(worst, noise * float(np.sqrt(variances.max())))
+        scale = 1.0 if of == "principal point" else float(np.min(np.asarray(camera.params)[wanted]))
+        worst = max(worst, noise * float(np.sqrt(variances.max())) / scale)
     return worst

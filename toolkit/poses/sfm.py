@@ -13,11 +13,11 @@ from typing import Any
 
 import pycolmap
 
-from toolkit.errors import Cancelled, DataError
+from toolkit.errors import Cancelled, DataError, StageError
 from toolkit.files import disk_errors
 from toolkit.matching.colmap_job import run_colmap
 from toolkit.matching.database import copy_database, keypoint_counts
-from toolkit.poses.adjust import AdjustmentReport, adjust
+from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
 from toolkit.poses.sfm_failure import check_matches, no_initial_pair
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene, scene_from_pycolmap
@@ -60,6 +60,11 @@ class SfmSettings(Settings):
     tolerance = Number(
         1e-6, bounds=(0.0, 0.01), doc="While pictures are added, an adjustment ends when its cost changes by less."
     )
+    use_positions = Boolean(
+        False,
+        doc="Take the frames' GPS positions for priors while pictures are added and adjusted: the result is in "
+        "metres, east-north-up.",
+    )
     threads = Integer(0, bounds=(0, 256), doc="Threads of the solver; 0: as many as there are cores.")
 
 
@@ -81,8 +86,8 @@ class SfmResult:
     Attributes
     ----------
     scene:
-        The scene with poses, cameras, points and tracks, in a world frame of its own: no georeference, no priors.
-        Frames that were not registered have no pose.
+        The scene with poses, cameras, points and tracks. Its world frame is its own (no georeference, no priors)
+        unless positions were used. Frames that were not registered have no pose.
     models:
         Number of registered pictures of each model that was found, the largest first. The scene is the first.
     observations:
@@ -145,7 +150,8 @@ def incremental_sfm(
 
     COLMAP's incremental mapper (Schönberger and Frahm 2016, "Structure-from-motion revisited"), and
     :func:`toolkit.poses.adjust.adjust` on the largest model that it finds. The world frame and its scale are
-    arbitrary. Poses that the scene has are not used.
+    arbitrary, unless ``use_positions`` makes the positions of the frames' priors part of every adjustment (COLMAP's
+    pose-prior mapping, with a robust loss): then it is that of the scene. Poses that the scene has are not used.
 
     Parameters
     ----------
@@ -168,8 +174,11 @@ def incremental_sfm(
     DataError
         For a database that is missing, damaged or of another scene.
     StageError
-        Where no model was found, saying whether features, overlap or a sound first pair is missing.
+        Where no model was found, saying whether features, overlap or a sound first pair is missing; where positions
+        are to be used and fewer than 3 frames have one, or the scene has no georeference.
     """
+    if settings.use_positions:
+        _check_positions(scene)
     names = tuple(frame.name for frame in scene.frames)
     if tuple(keypoint_counts(database_path)) != names:
         raise DataError(
@@ -193,11 +202,12 @@ def incremental_sfm(
     found.sort(key=lambda model: (model.num_reg_images(), model.num_points3D()), reverse=True)
     mapped = time.perf_counter()
     best = found[0]
-    report = _adjust(best, settings, len(scene), progress)
+    report = _adjust(best, scene, settings, progress)
     adjusted = time.perf_counter()
     images = (best.image(image_id) for image_id in best.reg_image_ids())
+    found_scene = scene_from_pycolmap(best, scene.image_dir, like=scene.without_poses())
     return SfmResult(
-        scene=_in_its_own_world(scene_from_pycolmap(best, scene.image_dir, like=scene.without_poses())),
+        scene=found_scene if settings.use_positions else _in_its_own_world(found_scene),
         models=tuple(model.num_reg_images() for model in found),
         observations={image.name: int(image.num_points3D) for image in images},
         mean_track_length=float(best.compute_mean_track_length()),
@@ -206,6 +216,17 @@ def incremental_sfm(
         adjustment=report,
         seconds={"mapping": mapped - start, "adjustment": adjusted - mapped},
     )
+
+
+def _check_positions(scene: Scene) -> None:
+    placed = sum(frame.prior is not None and frame.prior.position is not None for frame in scene.frames)
+    if scene.georeference is None or placed < 3:
+        raise StageError(
+            "There are too few positions to use as priors",
+            expected="at least 3 frames with a GPS position",
+            found=f"{placed} of {len(scene)}",
+            todo="Set use_positions to no",
+        )
 
 
 def _in_its_own_world(scene: Scene) -> Scene:
@@ -262,6 +283,8 @@ def _options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOp
         ba_global_points_ratio=settings.global_growth,
         ba_local_function_tolerance=settings.tolerance,
         ba_global_function_tolerance=settings.tolerance,
+        use_prior_position=settings.use_positions,
+        use_robust_loss_on_prior_position=settings.use_positions,
     )
     options.mapper.random_seed = seed
     options.mapper.init_min_num_inliers = settings.init_min_inliers
@@ -277,8 +300,10 @@ def _options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOp
 
 
 def _adjust(
-    model: pycolmap.Reconstruction, settings: SfmSettings, total: int, progress: Progress
+    model: pycolmap.Reconstruction, scene: Scene, settings: SfmSettings, progress: Progress
 ) -> AdjustmentReport:
+    priors = position_priors(scene, model) if settings.use_positions else ()
+
     def call(token: pycolmap.CancellationToken) -> AdjustmentReport:
         def check_cancelled() -> None:
             if token.is_cancelled:
@@ -293,9 +318,10 @@ def _adjust(
             min_angle=settings.min_angle,
             threads=settings.threads,
             check_cancelled=check_cancelled,
+            priors=priors,
         )
 
-    event = ProgressEvent("sfm", model.num_reg_images(), total, "last adjustment")
+    event = ProgressEvent("sfm", model.num_reg_images(), len(scene), "last adjustment")
     return run_colmap(call, lambda: event, progress)
 
 

@@ -70,7 +70,7 @@ class Comparison:
     settings_notes:
         Settings that only some recipes have.
     warnings:
-        What keeps the numbers from being compared.
+        What the runs noticed about their data, and what keeps the numbers from being compared.
     """
 
     runs: tuple[ComparedRun, ...]
@@ -121,7 +121,13 @@ def compare_runs(runs: Sequence[RunFolder]) -> Comparison:
         totals=tuple(item.result.seconds if item.result else None for item in read),
         settings=settings,
         settings_notes=notes,
-        warnings=(*_state_warnings(read), *not_comparable, *_pose_warnings(read), *_origin_warnings(read)),
+        warnings=(
+            *_state_warnings(read),
+            *_stage_warnings(read),
+            *not_comparable,
+            *_pose_warnings(read),
+            *_origin_warnings(read),
+        ),
     )
 
 
@@ -220,6 +226,18 @@ def _state_warnings(runs: Sequence[ComparedRun]) -> list[str]:
         + (f" {item.status.error}" if item.status.error else "")
         for item in runs
         if item.result is None
+    ]
+
+
+def _stage_warnings(runs: Sequence[ComparedRun]) -> list[str]:
+    """Return what stages noticed: the list ``warnings`` in a stage's report."""
+    return [
+        f"{item.label}, {stage}: {warning}."
+        for item in runs
+        if item.result is not None
+        for stage, report in item.result.reports.items()
+        if isinstance(report, dict) and isinstance(report.get("warnings"), list)
+        for warning in report["warnings"]
     ]
 
 

@@ -1,9 +1,10 @@
-"""The figures of the report page, as JSON that the page's script draws."""
+"""The figures of one or several runs, and their places on the report page, whose script draws them from JSON."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import plotly.graph_objects as go
@@ -42,6 +43,10 @@ class FigureBook:
             style=f"height:{height}px",
         )
 
+    def place_one(self, figure: go.Figure | None) -> Html | None:
+        """Return the place of a figure without variants, None for none."""
+        return self.place({"only": figure}) if figure is not None else None
+
     def script(self) -> Html:
         """Return all figures as one element of data."""
         # "<" would allow a name to end the element.
@@ -49,13 +54,23 @@ class FigureBook:
         return element("script", Html(text), type="application/json", id="figures")
 
 
-def curve_places(runs: Sequence[ComparedRun], book: FigureBook) -> tuple[list[Html], list[str]]:
-    """Return the places of all curves that have at least two points, and remarks on damaged files."""
+@dataclass(frozen=True, slots=True)
+class CurveFigure:
+    """One measurement of all runs, drawn over ``step`` and over ``time``."""
+
+    stage: str
+    name: str
+    by_axis: dict[str, go.Figure]
+
+
+def curve_figures(runs: Sequence[ComparedRun]) -> tuple[list[CurveFigure], list[str]]:
+    """Return all curves that have at least two points, losses first, and remarks on damaged files."""
     tables: list[Curves] = []
     remarks = []
     for item in runs:
         try:
-            curves = item.run.curves()
+            # A run that waits has not written anything yet, which is nothing to remark upon.
+            curves = item.run.curves() if item.status.state != "queued" else Curves((), 0)
         except DataError as error:
             curves = Curves((), 0)
             remarks.append(f"{item.label}: {error}")
@@ -63,13 +78,19 @@ def curve_places(runs: Sequence[ComparedRun], book: FigureBook) -> tuple[list[Ht
             remarks.append(f"{item.label}: {curves.damaged_lines} damaged lines of metrics.csv were left out.")
         tables.append(curves)
     keys = dict.fromkeys((curve.stage, curve.name) for curves in tables for curve in curves.curves)
-    places = []
+    drawn = []
     for stage, name in sorted(keys, key=lambda key: _rank(key[1])):
         of_runs = [curves.find(stage, name) for curves in tables]
         if any(curve is not None and len(curve.steps) > 1 for curve in of_runs):
-            figures = {axis: _curves(runs, of_runs, stage, name, axis) for axis in ("step", "time")}
-            places.append(element("div", book.place(figures), class_="card chart"))
-    return places, remarks
+            by_axis = {axis: _curves(runs, of_runs, stage, name, axis) for axis in ("step", "time")}
+            drawn.append(CurveFigure(stage, name, by_axis))
+    return drawn, remarks
+
+
+def curve_places(runs: Sequence[ComparedRun], book: FigureBook) -> tuple[list[Html], list[str]]:
+    """Return the places of :func:`curve_figures`, and their remarks."""
+    drawn, remarks = curve_figures(runs)
+    return [element("div", book.place(curve.by_axis), class_="card chart") for curve in drawn], remarks
 
 
 def _rank(name: str) -> int:
@@ -92,25 +113,25 @@ def _curves(
     )
 
 
-def time_place(runs: Sequence[ComparedRun], book: FigureBook) -> Html | None:
-    """Return the place of the bars of times, None where no run has times."""
+def times_figure(runs: Sequence[ComparedRun]) -> go.Figure | None:
+    """Return the bars of times, None where no run has times."""
     times = {item.label: item.result.times for item in runs if item.result and item.result.times}
-    return book.place({"only": time_figure(times)}) if times else None
+    return time_figure(times) if times else None
 
 
-def view_place(runs: Sequence[ComparedRun], found: ViewsByName, book: FigureBook) -> Html | None:
-    """Return the place of PSNR by picture, None with fewer than two pictures."""
+def psnr_figure(runs: Sequence[ComparedRun], found: ViewsByName) -> go.Figure | None:
+    """Return PSNR by picture, None with fewer than two pictures."""
     if len(found.names) < 2:
         return None
     psnr = {
         item.label: {name: view.psnr for name, view in views.items()}
         for item, views in zip(runs, found.views, strict=True)
     }
-    return book.place({"only": view_figure(psnr, found.names, measure="PSNR in dB")})
+    return view_figure(psnr, found.names, measure="PSNR in dB")
 
 
-def trajectory_place(runs: Sequence[ComparedRun], book: FigureBook) -> tuple[Html | None, list[str]]:
-    """Return the place of the trajectories in one frame, None where no run has any, and remarks."""
+def aligned_figure(runs: Sequence[ComparedRun]) -> tuple[go.Figure | None, list[str]]:
+    """Return the trajectories in one frame, None where no run has any, and remarks."""
     read = {}
     remarks = []
     for item in runs:
@@ -126,4 +147,4 @@ def trajectory_place(runs: Sequence[ComparedRun], book: FigureBook) -> tuple[Htm
     # Runs without a trajectory keep their colours for the others to have the same everywhere.
     paths = {item.label: aligned.paths[item.label].poses if item.label in aligned.paths else {} for item in runs}
     reference = aligned.reference.poses if aligned.reference is not None else None
-    return book.place({"only": trajectory_figure(paths, reference)}), remarks
+    return trajectory_figure(paths, reference), remarks

@@ -16,7 +16,7 @@ from toolkit.recipes.base import StageTime
 from toolkit.runs.compare import ComparedRun, Comparison, MeasureRow, TextRow
 from toolkit.runs.markup import Content, Html, element, joined, table
 from toolkit.runs.measures import better, format_number, format_seconds
-from toolkit.runs.report_figures import FigureBook, curve_places, time_place, trajectory_place, view_place
+from toolkit.runs.report_figures import FigureBook, aligned_figure, curve_places, psnr_figure, times_figure
 from toolkit.runs.report_style import CSS, SCRIPT
 from toolkit.runs.report_views import view_cards, views_by_name
 from toolkit.runs.status import utc_now
@@ -24,6 +24,8 @@ from toolkit.runs.status import utc_now
 #: Nothing may be loaded from anywhere: the browser enforces what the page promises.
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 _ARROW = {"higher": "higher is better", "lower": "lower is better", None: None}
+#: What cards of test pictures can show, and what the button says.
+VIEW_MODES = {"slide": "Slide", "photo": "Photo", "render": "Render", "difference": "Difference"}
 _MOST_LOG_LINES = 300
 _MOST_REPORT = 20_000
 
@@ -61,20 +63,20 @@ def report_page(comparison: Comparison, most_views: int, picture_width: int, pro
     """Return the page; the parameters are those of :func:`write_report`."""
     runs = comparison.runs
     title = " · ".join(item.label for item in runs)
-    dots = [element("span", class_="dot", style=f"--run:{colour(i)}") for i in range(len(runs))]
-    heads = [joined([dot, item.label]) for dot, item in zip(dots, runs, strict=True)]
+    dots = run_dots(len(runs))
+    heads = run_heads(runs)
     figures = FigureBook()
     body = [
         _header(runs),
-        element("div", [_card(item, i, dots[i]) for i, item in enumerate(runs)], class_="runs"),
-        _warnings(comparison.warnings),
-        _measures(comparison, heads),
-        _settings(comparison, heads),
+        run_cards(runs),
+        warning_list(comparison.warnings),
+        measures_section(comparison, heads),
+        settings_section(comparison, heads),
         _views(comparison, dots, figures, most_views, picture_width, progress),
         _curves(runs, figures),
         _times(comparison, heads, figures),
         _trajectories(runs, figures),
-        _details(comparison, heads),
+        details_section(comparison, heads),
         element("footer", f"Made by Sightline Toolkit {toolkit.__version__}. This page needs no network."),
     ]
     return "<!DOCTYPE html>\n" + element(
@@ -96,6 +98,22 @@ def report_page(comparison: Comparison, most_views: int, picture_width: int, pro
         ),
         lang="en",
     )
+
+
+def run_dots(count: int) -> list[Html]:
+    """Return a dot in the colour of each of ``count`` runs."""
+    return [element("span", class_="dot", style=f"--run:{colour(i)}") for i in range(count)]
+
+
+def run_heads(runs: Sequence[ComparedRun]) -> list[Html]:
+    """Return the headings of the runs' columns."""
+    return [joined([dot, item.label]) for dot, item in zip(run_dots(len(runs)), runs, strict=True)]
+
+
+def run_cards(runs: Sequence[ComparedRun]) -> Html:
+    """Return a card for each run with its state and what matters most."""
+    dots = run_dots(len(runs))
+    return element("div", [_card(item, i, dots[i]) for i, item in enumerate(runs)], class_="runs")
 
 
 def _section(title: str, *content: Content, mode: str | None = None) -> Html:
@@ -152,11 +170,13 @@ def _number(title: str, value: str) -> Html:
     return element("div", element("b", value), element("span", title))
 
 
-def _warnings(texts: Sequence[str]) -> Html | None:
+def warning_list(texts: Sequence[str]) -> Html | None:
+    """Return warnings as a list, None for none."""
     return element("ul", [element("li", text) for text in texts], class_="warnings") if texts else None
 
 
-def _measures(comparison: Comparison, heads: Sequence[Html]) -> Html | None:
+def measures_section(comparison: Comparison, heads: Sequence[Html]) -> Html | None:
+    """Return the table of measures with the best marked, None where no run has any."""
     if not comparison.measures:
         return None
     rows: list[list[Content]] = []
@@ -182,7 +202,8 @@ def _value(row: MeasureRow, position: int) -> Html:
     return element("td", text)
 
 
-def _settings(comparison: Comparison, heads: Sequence[Html]) -> Html | None:
+def settings_section(comparison: Comparison, heads: Sequence[Html]) -> Html | None:
+    """Return the settings that differ, None for one run alone."""
     if len(comparison.runs) == 1:
         return None
     if not comparison.settings and not comparison.settings_notes:
@@ -208,20 +229,24 @@ def _views(
     found = views_by_name(runs)
     if not found.names:
         return None
-    marked = any(row.best for row in comparison.measures if row.name == "test.psnr")
+    marked = psnr_is_comparable(comparison)
     cards = view_cards(runs, found, dots, most=most, width=width, mark_best=marked, progress=progress)
     shown = min(most, len(found.names))
     count = f"The {shown} worst of {len(found.names)}" if shown < len(found.names) else f"All {shown}"
-    modes = {"slide": "Slide", "photo": "Photo", "render": "Render", "difference": "Difference"}
-    chart = view_place(runs, found, figures)
+    chart = figures.place_one(psnr_figure(runs, found))
     return _section(
         "Test pictures",
         _notes([f"{count} pictures that no run was trained on, worst first. Move over a picture to uncover it."]),
-        element("div", _choice("What the pictures show", modes), class_="bar"),
+        element("div", _choice("What the pictures show", VIEW_MODES), class_="bar"),
         cards,
         element("div", chart, class_="card chart", style="margin-top:16px") if chart is not None else None,
         mode="slide",
     )
+
+
+def psnr_is_comparable(comparison: Comparison) -> bool:
+    """Whether the better of two renders of a picture may be marked."""
+    return any(row.best for row in comparison.measures if row.name == "test.psnr")
 
 
 def _curves(runs: Sequence[ComparedRun], figures: FigureBook) -> Html | None:
@@ -237,20 +262,21 @@ def _curves(runs: Sequence[ComparedRun], figures: FigureBook) -> Html | None:
 
 
 def _times(comparison: Comparison, heads: Sequence[Html], figures: FigureBook) -> Html | None:
-    place = time_place(comparison.runs, figures)
+    place = figures.place_one(times_figure(comparison.runs))
     if place is None:
         return None
+    chart = element("div", place, class_="card chart", style="margin-bottom:14px")
+    return _section("Time by stage", chart, time_table(comparison, heads))
+
+
+def time_table(comparison: Comparison, heads: Sequence[Html]) -> Html:
+    """Return the table of times by stage, with a note where stages were reused."""
     rows: list[list[Content]] = [[row.stage, *map(_seconds, row.times)] for row in comparison.times]
     totals = ["–" if total is None else format_seconds(total) for total in comparison.totals]
     rows.append(["total", *totals])
     reused = any(time is not None and time.reused for row in comparison.times for time in row.times)
     note = "Hatched stages were reused: they count with the time that they took when they were made."
-    return _section(
-        "Time by stage",
-        _notes([note] if reused else []),
-        element("div", place, class_="card chart", style="margin-bottom:14px"),
-        table(["", *heads], rows, "numeric total" + _single(heads)),
-    )
+    return joined([_notes([note] if reused else []), table(["", *heads], rows, "numeric total" + _single(heads))])
 
 
 def _seconds(time: StageTime | None) -> Html:
@@ -260,14 +286,15 @@ def _seconds(time: StageTime | None) -> Html:
 
 
 def _trajectories(runs: Sequence[ComparedRun], figures: FigureBook) -> Html | None:
-    place, remarks = trajectory_place(runs, figures)
+    drawn_paths, remarks = aligned_figure(runs)
+    place = figures.place_one(drawn_paths)
     if place is None and not remarks:
         return None
     drawn = element("div", place, class_="card chart") if place is not None else None
     return _section("Camera trajectories", _notes(remarks), drawn)
 
 
-def _details(comparison: Comparison, heads: Sequence[Html]) -> Html:
+def details_section(comparison: Comparison, heads: Sequence[Html]) -> Html:
     """Return what is needed to make a run again, folded away."""
     parts: list[Html] = []
     for item in comparison.runs:

@@ -1,19 +1,19 @@
-"""The style and the few lines of script of the report page."""
+"""The style and the few lines of script of the report page; the dashboard wears the same."""
 
-CSS = """
-:root {
-  color-scheme: light dark;
+#: Colours on a light and on a dark ground, as custom properties that the rules below use.
+LIGHT = """
   --ground: #f6f7f9; --card: #ffffff; --text: #1b2330; --muted: #657085; --line: #e2e6ec;
   --accent: #2563eb; --best: #0f7a4d; --best-ground: #e2f6ec; --warn: #8a5a00; --warn-ground: #fff4dc;
   --shade: 0 1px 2px rgba(20, 30, 50, .06), 0 6px 20px rgba(20, 30, 50, .05);
-}
-@media (prefers-color-scheme: dark) {
-  :root {
-    --ground: #0f1319; --card: #171d26; --text: #e4e9f1; --muted: #93a0b4; --line: #29313d;
-    --accent: #7aa8ff; --best: #5fd6a0; --best-ground: #12362a; --warn: #f2c566; --warn-ground: #3a2d10;
-    --shade: 0 1px 2px rgba(0, 0, 0, .4);
-  }
-}
+"""
+DARK = """
+  --ground: #0f1319; --card: #171d26; --text: #e4e9f1; --muted: #93a0b4; --line: #29313d;
+  --accent: #7aa8ff; --best: #5fd6a0; --best-ground: #12362a; --warn: #f2c566; --warn-ground: #3a2d10;
+  --shade: 0 1px 2px rgba(0, 0, 0, .4);
+"""
+
+#: Everything but colours. It holds inside shadow roots, too.
+RULES = """
 * { box-sizing: border-box; }
 body {
   margin: 0; background: var(--ground); color: var(--text);
@@ -161,7 +161,39 @@ footer { margin-top: 48px; color: var(--muted); font-size: 13px; }
 }
 """
 
-SCRIPT = """
+CSS = f"""
+:root {{ color-scheme: light dark; {LIGHT} }}
+@media (prefers-color-scheme: dark) {{ :root {{ {DARK} }} }}
+{RULES}"""
+
+#: ``followViews(root)``: what cards of test pictures below ``root`` do; each dividing line follows the pointer.
+VIEW_SCRIPT = """
+function followViews(root) {
+  for (const image of root.querySelectorAll("img[data-same]")) {
+    image.src = root.querySelector("#" + image.dataset.same).src;
+  }
+  for (const view of root.querySelectorAll(".view")) {
+    const range = view.querySelector("input");
+    const set = (percent) => {
+      range.value = percent;
+      view.style.setProperty("--split", percent + "%");
+    };
+    range.addEventListener("input", () => set(range.value));
+    for (const stack of view.querySelectorAll(".stack")) {
+      const follow = (event) => {
+        if (event.pointerType === "touch" && event.type === "pointermove" && !event.isPrimary) return;
+        const box = stack.getBoundingClientRect();
+        set(Math.min(100, Math.max(0, 100 * (event.clientX - box.left) / box.width)));
+      };
+      stack.addEventListener("pointermove", follow);
+      stack.addEventListener("pointerdown", follow);
+    }
+  }
+}
+"""
+
+SCRIPT = (
+    """
 "use strict";
 const figures = JSON.parse(document.getElementById("figures").textContent);
 const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -199,26 +231,7 @@ for (const choice of document.querySelectorAll(".choice")) {
     }
   });
 }
-
-for (const image of document.querySelectorAll("img[data-same]")) {
-  image.src = document.getElementById(image.dataset.same).src;
-}
-
-for (const view of document.querySelectorAll(".view")) {
-  const range = view.querySelector("input");
-  const set = (percent) => {
-    range.value = percent;
-    view.style.setProperty("--split", percent + "%");
-  };
-  range.addEventListener("input", () => set(range.value));
-  for (const stack of view.querySelectorAll(".stack")) {
-    const follow = (event) => {
-      if (event.pointerType === "touch" && event.type === "pointermove" && !event.isPrimary) return;
-      const box = stack.getBoundingClientRect();
-      set(Math.min(100, Math.max(0, 100 * (event.clientX - box.left) / box.width)));
-    };
-    stack.addEventListener("pointermove", follow);
-    stack.addEventListener("pointerdown", follow);
-  }
-}
 """
+    + VIEW_SCRIPT
+    + "followViews(document);\n"
+)

@@ -16,6 +16,7 @@ from toolkit.progress import Progress, track
 from toolkit.recipes.base import TestView
 from toolkit.runs.compare import ComparedRun
 from toolkit.runs.markup import Content, Html, element
+from toolkit.runs.measures import best_of
 
 _QUALITY = 88
 
@@ -78,6 +79,34 @@ class PictureBook:
         return element("img", id=place, class_=class_, alt=alt, src=source, **size)
 
 
+def view_card(
+    runs: Sequence[ComparedRun],
+    found: ViewsByName,
+    name: str,
+    dots: Sequence[Html],
+    book: PictureBook,
+    *,
+    mark_best: bool,
+) -> Html:
+    """Return the card of one test picture: photo and render of each run that has it, with a slider between them."""
+    shown = [(i, of_run[name]) for i, of_run in enumerate(found.views) if name in of_run]
+    best = best_of("psnr", [view.psnr for _, view in shown]) if mark_best else frozenset()
+    panels = [
+        _panel(book, runs[i], view, dots[i], len(runs) > 1, place in best) for place, (i, view) in enumerate(shown)
+    ]
+    slider = element(
+        "input", type="range", min=0, max=100, value=50, aria_label=f"Photo and render of {name}: dividing line"
+    )
+    return element(
+        "article",
+        element("h3", name),
+        element("div", panels, class_="panels"),
+        slider,
+        class_="card view",
+        style="--split:50%",
+    )
+
+
 def view_cards(
     runs: Sequence[ComparedRun],
     found: ViewsByName,
@@ -90,27 +119,10 @@ def view_cards(
 ) -> Html:
     """Return a card for each of the first ``most`` pictures."""
     book = PictureBook(width)
-    cards = []
-    for name in track(found.names[:most], "report.pictures", progress):
-        shown = [(i, of_run[name]) for i, of_run in enumerate(found.views) if name in of_run]
-        best = max((view.psnr for _, view in shown if not math.isnan(view.psnr)), default=math.nan)
-        panels = [
-            _panel(book, runs[i], view, dots[i], len(runs) > 1, mark_best and len(shown) > 1 and view.psnr == best)
-            for i, view in shown
-        ]
-        slider = element(
-            "input", type="range", min=0, max=100, value=50, aria_label=f"Photo and render of {name}: dividing line"
-        )
-        cards.append(
-            element(
-                "article",
-                element("h3", name),
-                element("div", panels, class_="panels"),
-                slider,
-                class_="card view",
-                style="--split:50%",
-            )
-        )
+    cards = [
+        view_card(runs, found, name, dots, book, mark_best=mark_best)
+        for name in track(found.names[:most], "report.pictures", progress)
+    ]
     return element("div", cards, class_="views", style=f"--view:{min(1180, 380 * max(1, len(runs)))}px")
 
 

@@ -1,0 +1,155 @@
+"""Sensor poses refined by matches: accuracy, the metric frame, frames without readings, failures."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flight_matches import flight, nadir_block, pose, with_prior
+
+from toolkit.errors import Cancelled, DataError, StageError
+from toolkit.geometry.attitude import Attitude
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.metrics.trajectory import trajectory_errors
+from toolkit.poses.sensor_sfm import SensorSfmResult, SensorSfmSettings, sensor_sfm
+from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.progress import ProgressEvent
+from toolkit.scene import Scene
+
+
+def refine(scene: Scene, database: Path, **settings: object) -> SensorSfmResult:
+    return sensor_sfm(scene, database, SensorSfmSettings(**settings), work_dir=database.parent / "work")
+
+
+def tilted_block() -> list[RigidTransform]:
+    """Return a block in which strips look down by 60 and by 90 degrees: that determines the focal length."""
+    poses = nadir_block()
+    for i in range(5, 10):
+        poses[i] = pose(poses[i].centre, Attitude(180.0, -60.0))
+    return poses
+
+
+def test_pictures_take_sensor_poses_to_their_own_accuracy(tmp_path: Path) -> None:
+    scene, truth, database = flight(tmp_path, tilted_block())
+    found = refine(scene, database)
+    assert len(found.scene.registered) == len(scene)
+    assert found.warnings == ()
+    assert found.rounds[-1].focal == "refined"
+    assert found.scene.cameras[1].intrinsics[0, 0] == pytest.approx(700.0, rel=0.01)  # type: ignore[attr-defined]
+    shape = trajectory_errors(found.scene, truth, "sim3")
+    # 0.3 px at 700 px and 50 m are 2 cm for one ray; hundreds of points average that down.
+    assert shape.pos < 0.03
+    assert shape.rot < 0.05
+    # The frame is that of 15 positions with 0.5 m an axis: 0.13 m an axis for the shift, more at the ends.
+    place = trajectory_errors(found.scene, truth, "none")
+    assert place.pos < 0.6
+    assert found.scene.georeference == scene.georeference
+    raw = trajectory_errors(found.sensors.scene, truth, "none")
+    assert place.rot < raw.rot / 2
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_a_focal_length_that_nothing_determines_is_kept_and_told(tmp_path: Path) -> None:
+    """Level nadir pictures fit any focal length; left free it went to 15 px here, and the ground to 1 m below."""
+    scene, truth, database = flight(tmp_path, nadir_block())
+    found = refine(scene, database)
+    assert found.rounds[-1].focal == "not determined"
+    assert any("do not determine the focal length" in text for text in found.warnings)
+    assert found.scene.cameras[1] == truth.cameras[1]
+    assert trajectory_errors(found.scene, truth, "none").pos < 0.6
+
+
+def test_turned_photos_get_turned_poses(tmp_path: Path) -> None:
+    scene, truth, database = flight(tmp_path, nadir_block(), turns={2: 2, 7: 1})
+    found = refine(scene, database)
+    assert dict(found.pixels.turns) == {"002.jpg": 180.0, "007.jpg": 90.0}
+    assert len(found.scene.registered) == len(scene)
+    assert max(found.rotation_residual.values()) < 5.0
+    # The picture's axes are not those of the camera that took it: the truth differs by the turn, the centres agree.
+    assert trajectory_errors(found.scene, truth, "sim3").pos < 0.03
+
+
+def test_uncorrected_turns_are_only_told(tmp_path: Path) -> None:
+    scene, _, database = flight(tmp_path, nadir_block(), turns={2: 2})
+    found = refine(scene, database, correct_turns=False)
+    assert "turned by 180 degrees" in found.warnings[0]
+    residual = found.rotation_residual.get("002.jpg")
+    assert residual is None or residual > 150.0
+
+
+def test_frames_without_readings_are_placed_by_their_matches(tmp_path: Path) -> None:
+    scene, truth, database = flight(tmp_path, nadir_block())
+    prior = scene.frames[7].prior
+    assert prior is not None
+    assert prior.position is not None
+    scene = with_prior(with_prior(scene, 3, None), 11, dataclasses.replace(prior, rotation=None))
+    scene = with_prior(scene, 7, dataclasses.replace(prior, position=prior.position + np.array([150.0, 0.0, 0.0])))
+    found = refine(scene, database)
+    assert found.placed_by_points == ("003.jpg", "007.jpg", "011.jpg")
+    assert len(found.scene.registered) == len(scene)
+    assert trajectory_errors(found.scene, truth, "sim3").position.max() < 0.1
+    left = refine(scene, database, place_others=False)
+    assert dict(left.not_placed) == {
+        "003.jpg": "no GPS position",
+        "007.jpg": "the pictures contradict its position",
+        "011.jpg": "no gimbal attitude",
+    }
+
+
+def test_a_straight_flight_takes_its_roll_from_the_gimbal(tmp_path: Path) -> None:
+    line = [pose((0.0, 8.0 * i, 50.0), Attitude(0.0, -80.0)) for i in range(12)]
+    scene, truth, database = flight(tmp_path, line, position_noise=0.1)
+    found = refine(scene, database)
+    assert any("lie on a line" in text for text in found.warnings)
+    # The roll about the line is the mean of 12 readings with one degree: 0.3 degrees; three times that.
+    assert trajectory_errors(found.scene, truth, "none").rot < 0.9
+
+
+def test_hovering_gives_no_points_and_says_so(tmp_path: Path) -> None:
+    hover = [pose((0.0, 0.0, 50.0), Attitude(0.0, pitch)) for pitch in (-90.0, -85.0, -80.0, -75.0, -70.0)]
+    scene, _, database = flight(tmp_path, hover, position_noise=0.01)
+    with pytest.raises(StageError, match="colmap-3dgs"):
+        refine(scene, database)
+
+
+def test_a_database_of_another_scene_is_refused(tmp_path: Path) -> None:
+    scene, _, database = flight(tmp_path, nadir_block())
+    with pytest.raises(DataError, match="does not belong to this scene"):
+        refine(scene.replace(frames=scene.frames[:4]), database)
+
+
+def test_it_can_be_cancelled(tmp_path: Path) -> None:
+    scene, _, database = flight(tmp_path, nadir_block())
+
+    def stop(event: ProgressEvent) -> None:
+        if event.stage == "sensors.refine":
+            raise Cancelled("stop")
+
+    with pytest.raises(Cancelled):
+        sensor_sfm(scene, database, SensorSfmSettings(), work_dir=tmp_path / "work", progress=stop)
+    assert not list((tmp_path / "work").iterdir())
+
+
+def test_the_mapper_with_positions_gives_metres(tmp_path: Path) -> None:
+    scene, truth, database = flight(tmp_path, nadir_block())
+    found = incremental_sfm(scene, database, SfmSettings(use_positions=True), work_dir=tmp_path / "work")
+    assert found.scene.georeference == scene.georeference
+    assert trajectory_errors(found.scene, truth, "none").pos < 0.6
+    assert trajectory_errors(found.scene, truth, "sim3").pos < 0.03
+
+
+def test_the_mapper_needs_three_positions(tmp_path: Path) -> None:
+    scene, _, database = flight(tmp_path, nadir_block())
+    for i in range(2, len(scene)):
+        scene = with_prior(scene, i, None)
+    with pytest.raises(StageError, match="2 of 15"):
+        incremental_sfm(scene, database, SfmSettings(use_positions=True), work_dir=tmp_path / "work")
+
+
+def test_the_same_seed_gives_the_same_poses(tmp_path: Path) -> None:
+    scene, _, database = flight(tmp_path, nadir_block())
+    first, second = refine(scene, database, threads=1), refine(scene, database, threads=1)
+    np.testing.assert_array_equal(first.scene.centres(), second.scene.centres())

@@ -1,0 +1,168 @@
+"""Rounds of triangulation and adjustment that take sensor poses to the accuracy of the pictures."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from toolkit.errors import Cancelled, StageError
+from toolkit.geometry.cameras import ColmapCamera
+from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
+from toolkit.poses.resection import Resection, place_by_points
+from toolkit.poses.sensors import SensorPoseSettings
+from toolkit.progress import ProgressEvent
+from toolkit.scene import Scene, scene_from_pycolmap
+from toolkit.settings import Boolean, Integer, Number
+
+
+class SensorSfmSettings(SensorPoseSettings):
+    """Poses from sensors, refined by the pictures."""
+
+    correct_turns = Boolean(
+        True,
+        doc="Photos that were turned by a multiple of 90 degrees after they were taken get a pose that is turned "
+        "too; no: they are only reported.",
+    )
+    rounds = Integer(
+        4, bounds=(1, 10), doc="How often points are triangulated anew and everything is adjusted, ever tighter."
+    )
+    first_error = Number(
+        8.0,
+        bounds=(0.1, 45.0),
+        unit="degrees",
+        doc="Rays that miss a point by more are not used in the first round: the error of the sensor poses.",
+    )
+    max_error = Number(4.0, bounds=(0.1, 100.0), unit="px", doc="The same in the last round, in pixels.")
+    min_angle = Number(
+        1.5, bounds=(0.0, 45.0), unit="degrees", doc="Points whose rays meet under a smaller angle are removed."
+    )
+    min_points = Integer(
+        15, bounds=(6, 10000), unit="points", doc="Frames that see fewer points at the end lose their pose."
+    )
+    distrust = Boolean(True, doc="Readings that the pictures contradict are not used; no: they are only reported.")
+    place_others = Boolean(
+        True, doc="Frames without usable readings are placed by the points that their matches belong to."
+    )
+    min_matches = Integer(15, bounds=(6, 1000), unit="matches", doc="Pairs with fewer inliers are not used.")
+    refine_focal = Boolean(True, doc="Find the focal length; no: keep that of the scene's cameras.")
+    refine_distortion = Boolean(True, doc="Find the distortion; no: keep that of the scene's cameras.")
+    refine_principal_point = Boolean(
+        True, doc="Find the principal point in the last round, where the pictures determine it."
+    )
+    threads = Integer(0, bounds=(0, 256), doc="Threads of the solver; 0: as many as there are cores.")
+
+
+class Refinement:
+    """Triangulates and adjusts, round by round, in COLMAP's thread.
+
+    Attributes
+    ----------
+    reports:
+        What each adjustment did, so far.
+    others:
+        The frames without readings, and what points said of them.
+    """
+
+    def __init__(self, scene: Scene, database_path: Path, settings: SensorSfmSettings, seed: int) -> None:
+        self.reports: list[AdjustmentReport] = []
+        self.others = Resection(scene, (), {})
+        self._scene, self._database, self._settings, self._seed = scene, database_path, settings, seed
+        cameras = {scene.camera_of(frame) for frame in scene.registered}
+        focals = [camera.intrinsics[0, 0] for camera in cameras if isinstance(camera, ColmapCamera)]
+        self._focal = float(np.median(focals))
+        last = math.degrees(math.atan(settings.max_error / self._focal))
+        self._limits = np.geomspace(max(settings.first_error, last), last, settings.rounds)
+        # One round leaves no coarse one before it.
+        self._limits[-1] = last
+
+    def event(self) -> ProgressEvent:
+        """Say how far it is."""
+        return ProgressEvent("sensors.refine", min(len(self.reports), len(self._limits)), len(self._limits))
+
+    def run(self, token: pycolmap.CancellationToken) -> pycolmap.Reconstruction:
+        """Return the adjusted reconstruction."""
+        settings = self._settings
+        model = self._scene.to_pycolmap()
+        for number, limit in enumerate(self._limits):
+            model = self._round(model, number, float(limit), token)
+        if settings.place_others and len(self._scene.registered) < len(self._scene):
+            self.others = place_by_points(
+                scene_from_pycolmap(model, self._scene.image_dir, like=self._scene),
+                model,
+                self._database,
+                max_error=settings.max_error,
+                least=settings.min_points,
+                seed=self._seed,
+            )
+            if self.others.placed:
+                model = self.others.scene.replace(points=None).to_pycolmap()
+                model = self._round(model, len(self._limits) - 1, float(self._limits[-1]), token)
+        return model
+
+    def _round(
+        self, model: pycolmap.Reconstruction, number: int, limit: float, token: pycolmap.CancellationToken
+    ) -> pycolmap.Reconstruction:
+        def check_cancelled() -> None:
+            if token.is_cancelled:
+                raise Cancelled("Cancelled in the refinement of sensor poses")
+
+        settings, final = self._settings, number == len(self._limits) - 1
+        pixels = settings.max_error if final else self._focal * math.tan(math.radians(limit))
+        check_cancelled()
+        model = pycolmap.triangulate_points(
+            model,
+            self._database,
+            self._scene.image_dir,
+            # COLMAP writes the model here, and to a folder beside it first.
+            self._database.parent / "model",
+            clear_points=True,
+            options=_options(settings, limit, pixels, self._seed),
+            cancellation_token=token,
+        )
+        check_cancelled()
+        if not model.num_points3D():
+            raise _no_points(settings)
+        report = adjust(
+            model,
+            refine_focal=settings.refine_focal,
+            # Poses that are still coarse would be taken for distortion.
+            refine_distortion=settings.refine_distortion and (number > 0 or final),
+            refine_principal_point=settings.refine_principal_point and final,
+            max_error=pixels,
+            min_angle=settings.min_angle,
+            threads=settings.threads,
+            check_cancelled=check_cancelled,
+            priors=position_priors(self._scene, model),
+        )
+        self.reports.append(report)
+        return model
+
+
+def _no_points(settings: SensorSfmSettings) -> StageError:
+    return StageError(
+        "No point could be triangulated under the sensors' poses",
+        expected=f"matches that fit to {settings.first_error:g} degrees",
+        found="none in three pictures",
+        todo="Raise first_error, match more pairs, or use colmap-3dgs",
+    )
+
+
+def _options(
+    settings: SensorSfmSettings, degrees: float, pixels: float, seed: int
+) -> pycolmap.IncrementalPipelineOptions:
+    options = pycolmap.IncrementalPipelineOptions(
+        min_num_matches=settings.min_matches, num_threads=settings.threads or -1, random_seed=seed
+    )
+    options.mapper.random_seed = seed
+    options.mapper.filter_max_reproj_error = pixels
+    options.mapper.filter_min_tri_angle = settings.min_angle
+    triangulation = options.triangulation
+    triangulation.random_seed = seed
+    triangulation.min_angle = settings.min_angle
+    triangulation.create_max_angle_error = triangulation.continue_max_angle_error = max(degrees, 0.5)
+    triangulation.re_max_angle_error = max(degrees, 0.5)
+    triangulation.merge_max_reproj_error = triangulation.complete_max_reproj_error = pixels
+    return options

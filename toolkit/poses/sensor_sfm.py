@@ -1,0 +1,283 @@
+"""Structure under sensor poses: points triangulated from matches, all adjusted with GPS as prior, no mapper."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tempfile
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from toolkit.errors import DataError, StageError
+from toolkit.files import disk_errors
+from toolkit.geometry.alignment import align_poses
+from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.rigid import RigidTransform, rotation_angle
+from toolkit.matching.colmap_job import run_colmap
+from toolkit.matching.database import copy_database, keypoint_counts
+from toolkit.poses.adjust import AdjustmentReport
+from toolkit.poses.resection import Resection
+from toolkit.poses.sensor_pixels import PixelCheck, check_pixels
+from toolkit.poses.sensor_refine import Refinement, SensorSfmSettings
+from toolkit.poses.sensors import SensorPoses, sensor_poses, some
+from toolkit.poses.sfm_failure import check_matches
+from toolkit.progress import Progress, silent
+from toolkit.scene import Scene, scene_from_pycolmap
+
+Array = NDArray[np.float64]
+
+# Positions that leave a line by less than this many standard deviations leave the turn about it open.
+_LINE_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSfmResult:
+    """Poses from sensors, refined by the pictures.
+
+    Attributes
+    ----------
+    scene:
+        The scene with refined poses, cameras, points and tracks, in the sensors' east-north-up frame.
+    sensors:
+        The poses before the refinement, with turns put in.
+    pixels:
+        What the pictures said of the sensors.
+    placed_by_points:
+        Names of frames without position or attitude that the points gave a pose.
+    not_placed:
+        Why frames have no pose, by their names.
+    rounds:
+        What each adjustment did.
+    position_residual, rotation_residual:
+        By frame name, how far the refined pose is from the sensors', in metres and degrees.
+    mean_track_length, mean_reprojection_error:
+        Observations per point; pixels.
+    warnings:
+        Of all parts, a sentence each.
+    seconds:
+        Wall time by part.
+    """
+
+    scene: Scene
+    sensors: SensorPoses
+    pixels: PixelCheck
+    placed_by_points: tuple[str, ...]
+    not_placed: Mapping[str, str]
+    rounds: tuple[AdjustmentReport, ...]
+    position_residual: Mapping[str, float]
+    rotation_residual: Mapping[str, float]
+    mean_track_length: float
+    mean_reprojection_error: float
+    warnings: tuple[str, ...]
+    seconds: Mapping[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, ready for JSON."""
+        return {
+            "images": len(self.scene),
+            "registered": len(self.scene.registered),
+            "placed_by_points": list(self.placed_by_points),
+            "not_placed": dict(self.not_placed),
+            "points": 0 if self.scene.points is None else len(self.scene.points),
+            "mean_track_length": self.mean_track_length,
+            "mean_reprojection_error": self.mean_reprojection_error,
+            "position_residual_m": dict(self.position_residual),
+            "rotation_residual_deg": dict(self.rotation_residual),
+            "warnings": list(self.warnings),
+            "sensors": self.sensors.to_dict(),
+            "pixels": self.pixels.to_dict(),
+            "rounds": [report.to_dict() for report in self.rounds],
+            "seconds": dict(self.seconds),
+        }
+
+
+def sensor_sfm(
+    scene: Scene,
+    database_path: Path,
+    settings: SensorSfmSettings,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+    work_dir: Path,
+) -> SensorSfmResult:
+    """Take poses from GPS and gimbal and refine them by matched pictures, without an incremental mapper.
+
+    Points are triangulated under the sensors' poses with thresholds as loose as these poses are wrong, poses and
+    points are adjusted with the GPS positions as robust priors, and both again with tighter thresholds. So the
+    result stays in the sensors' metric frame.
+
+    Parameters
+    ----------
+    scene:
+        With priors (position and rotation) in a georeferenced frame, whose features are in the database.
+    database_path:
+        With features and verified matches. It is only read.
+    settings:
+        As declared.
+    seed:
+        Of every random choice.
+    progress:
+        Told of each round; raises to cancel.
+    work_dir:
+        Folder for files that are needed meanwhile and removed at the end.
+
+    Raises
+    ------
+    DataError
+        For a database that is missing, damaged or of another scene.
+    StageError
+        Where sensors or matches do not suffice; the message says what is missing.
+    """
+    names = tuple(frame.name for frame in scene.frames)
+    if tuple(keypoint_counts(database_path)) != names:
+        raise DataError(
+            f"{database_path} does not belong to this scene",
+            expected=f"its {len(names)} frames in their order",
+            todo="Extract and match the features of this scene first",
+        )
+    check_matches(database_path, settings.min_matches)
+    start = time.perf_counter()
+    # What is odd in the readings is told once, by the first look.
+    sensors = sensor_poses(scene, settings)
+    pixels = check_pixels(sensors.scene, database_path, progress=progress)
+    if settings.correct_turns and pixels.turns:
+        sensors = dataclasses.replace(sensor_poses(scene, settings, turns=pixels.turns), warnings=sensors.warnings)
+    checked = time.perf_counter()
+    with disk_errors(work_dir, "writing"):
+        work_dir.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=work_dir, prefix=".sensors.", suffix=".tmp") as temporary:
+        # COLMAP changes a database by opening it; this one may belong to another stage.
+        copy = Path(temporary) / "matches.db"
+        copy_database(database_path, copy)
+        contradicted = pixels.contradicted if settings.distrust else {}
+        trusted = _without_readings(_with_start_cameras(sensors.scene, copy), contradicted)
+        job = Refinement(trusted, copy, settings, seed)
+        model = run_colmap(job.run, job.event, progress, copy)
+    refined = time.perf_counter()
+    turned_about_line = _settle_line(model, sensors.scene)
+    unusable = {
+        **dict.fromkeys(sensors.no_attitude, "no gimbal attitude"),
+        **dict.fromkeys(sensors.no_position, "no GPS position"),
+        **{name: f"the pictures contradict its {reading}" for name, reading in contradicted.items()},
+    }
+    not_placed = _drop_unsupported(model, sensors.scene, unusable, job.others, settings.min_points)
+    found = scene_from_pycolmap(model, scene.image_dir, like=sensors.scene)
+    if len(found.registered) < 2:
+        raise StageError(
+            "The pictures do not support the sensors' poses",
+            expected=f"frames that see at least {settings.min_points} points",
+            found="; ".join(f"{name}: {why}" for name, why in list(not_placed.items())[:3]),
+            todo="Look at the warnings of the readings, raise first_error, or use colmap-3dgs",
+        )
+    position, rotation = _residuals(found)
+    return SensorSfmResult(
+        scene=found,
+        sensors=sensors,
+        pixels=pixels,
+        placed_by_points=tuple(name for name in job.others.placed if name not in not_placed),
+        not_placed=not_placed,
+        rounds=tuple(job.reports),
+        position_residual=position,
+        rotation_residual=rotation,
+        mean_track_length=float(model.compute_mean_track_length()),
+        mean_reprojection_error=float(model.compute_mean_reprojection_error()),
+        warnings=(
+            *sensors.warnings,
+            *pixels.warnings,
+            *turned_about_line,
+            *_focal_warning(job.reports[-1]),
+            *_lost(not_placed, unusable),
+        ),
+        seconds={"check": checked - start, "refine": refined - checked},
+    )
+
+
+def _with_start_cameras(scene: Scene, database_path: Path) -> Scene:
+    """Return the scene with the cameras that the features were extracted with: their model may be another."""
+    with closing(pycolmap.Database.open(database_path)) as database:
+        cameras = {int(c.camera_id): ColmapCamera.from_pycolmap(c) for c in database.read_all_cameras()}
+    return scene.replace(cameras={**scene.cameras, **cameras})
+
+
+def _without_readings(scene: Scene, names: Iterable[str]) -> Scene:
+    """Return the scene with neither pose nor prior for some frames."""
+    dropped = set(names)
+    frames = (
+        dataclasses.replace(frame, cam_from_world=None, prior=None) if frame.name in dropped else frame
+        for frame in scene.frames
+    )
+    return scene.replace(frames=tuple(frames))
+
+
+def _poses(model: pycolmap.Reconstruction) -> dict[int, RigidTransform]:
+    poses = {}
+    for image_id in sorted(model.reg_image_ids()):
+        poses[image_id] = RigidTransform.from_matrix(model.image(image_id).cam_from_world().matrix())
+    return poses
+
+
+def _settle_line(model: pycolmap.Reconstruction, sensors: Scene) -> tuple[str, ...]:
+    """Turn a reconstruction whose cameras lie on a line about it, by the gimbal: positions leave that open."""
+    poses = _poses(model)
+    frames = [sensors.frames[image_id - 1] for image_id in poses]
+    targets = [frame.cam_from_world for frame in frames if frame.cam_from_world is not None]
+    centres = np.array([pose.centre for pose in targets])
+    across = np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(centres))
+    sigmas = [f.prior.position_sigma for f in frames if f.prior is not None and f.prior.position_sigma is not None]
+    if across > _LINE_SIGMAS * float(np.median(sigmas)):
+        return ()
+    similarity = align_poses(list(poses.values()), targets, with_scale=True)
+    x, y, z = similarity.rotation, similarity.translation, similarity.scale
+    model.transform(pycolmap.Sim3d(z, pycolmap.Rotation3d(x), y))
+    return (
+        f"the positions lie on a line (to {across:.1f} m): the turn about it was taken from the gimbal, and focal "
+        "length and height are hardly told apart",
+    )
+
+
+def _drop_unsupported(
+    model: pycolmap.Reconstruction, sensors: Scene, unusable: Mapping[str, str], others: Resection, least: int
+) -> dict[str, str]:
+    """Take the pose of frames that see too few points, and return why frames have none."""
+    reasons = {name: why for name, why in unusable.items() if name not in others.placed}
+    reasons |= {name: f"{reasons[name]}; {why}" for name, why in others.reasons.items()}
+    manager = pycolmap.ObservationManager(model)
+    for image_id in sorted(model.reg_image_ids()):
+        image = model.image(image_id)
+        if image.num_points3D < least:
+            reasons[image.name] = f"sees {image.num_points3D} points of {least} needed"
+            manager.deregister_frame(image.frame_id)
+    return {frame.name: reasons[frame.name] for frame in sensors.frames if frame.name in reasons}
+
+
+def _focal_warning(last: AdjustmentReport) -> Sequence[str]:
+    if last.focal != "not determined":
+        return ()
+    sigma = "" if last.focal_sigma is None else f" (to {100 * last.focal_sigma:.0f} % only)"
+    return (
+        f"the pictures do not determine the focal length{sigma}: it was kept, and heights of the ground are as "
+        "wrong as it is; tilted photos or another flying height would tell",
+    )
+
+
+def _lost(not_placed: Mapping[str, str], unusable: Mapping[str, str]) -> Sequence[str]:
+    lost = [name for name in not_placed if name not in unusable]
+    return [f"{len(lost)} photos lost their pose because they see too few points: {some(lost)}"] if lost else []
+
+
+def _residuals(scene: Scene) -> tuple[dict[str, float], dict[str, float]]:
+    position, rotation = {}, {}
+    for frame in scene.registered:
+        pose, prior = frame.cam_from_world, frame.prior
+        if pose is not None and prior is not None and prior.position is not None and prior.rotation is not None:
+            position[frame.name] = float(np.linalg.norm(pose.centre - prior.position))
+            rotation[frame.name] = math.degrees(rotation_angle(pose.rotation @ prior.rotation.T))
+    return position, rotation

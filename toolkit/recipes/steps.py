@@ -1,0 +1,154 @@
+"""Steps that several recipes share: features and matches, undistortion, training and measuring."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolkit import matching, poses
+from toolkit.matching.database import copy_database
+from toolkit.matching.features import SiftSettings, extract_sift
+from toolkit.matching.match import MatchSettings, match_pairs
+from toolkit.matching.pairs import PairSettings, choose_pairs
+from toolkit.metrics.lpips import Lpips
+from toolkit.poses.undistort import undistort
+from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult, StageTime
+from toolkit.recipes.cached import CachedStage, cached_stage
+from toolkit.recipes.measure import measure_poses, measure_test_renders
+from toolkit.scene import Scene
+from toolkit.scene.folder import read_scene, write_scene
+from toolkit.splat.evaluate import render_test_views
+from toolkit.splat.train import train_splats
+from toolkit.splat.train_settings import TrainSettings
+
+DATABASE = "database.db"
+SCENE = "scene"
+
+
+def features_and_matches(
+    data: RecipeInput, sift: SiftSettings, pairs: PairSettings, match: MatchSettings, context: RecipeContext
+) -> tuple[CachedStage, CachedStage]:
+    """Return the stages features and matches, each taken from the workspace where it is there.
+
+    The database with verified matches is ``DATABASE`` in the second one's folder.
+    """
+    scene, seed, progress = data.scene, context.seed, context.progress
+    chosen = choose_pairs(scene, pairs)  # what the pairs lack is told before features are extracted
+
+    def features_into(folder: Path) -> dict[str, Any]:
+        return extract_sift(scene, folder / DATABASE, sift, seed=seed, progress=progress).to_dict()
+
+    features = cached_stage(
+        context,
+        "features",
+        inputs={"capture": data.fingerprint},
+        settings=sift,
+        code=(matching,),
+        build=features_into,
+    )
+
+    def matches_into(folder: Path) -> dict[str, Any]:
+        copy_database(features.folder / DATABASE, folder / DATABASE)
+        return match_pairs(folder / DATABASE, scene, chosen, match, seed=seed, progress=progress).to_dict()
+
+    matches = cached_stage(
+        context,
+        "matches",
+        inputs={"features": features.output.key, "pairs": pairs.to_dict()},
+        settings=match,
+        code=(matching,),
+        build=matches_into,
+    )
+    return features, matches
+
+
+def undistorted(posed: CachedStage, context: RecipeContext) -> CachedStage:
+    """Return the stage undistort of the scene that stage ``posed`` wrote to ``SCENE`` in its folder."""
+    scene = read_scene(posed.folder / SCENE)
+
+    def flat_into(folder: Path) -> dict[str, Any]:
+        # The pictures lie in the scene's own folder, so that it stays whole when the stage's folder is renamed.
+        flat = undistort(scene, folder / SCENE, progress=context.progress)
+        write_scene(flat, folder / SCENE)
+        return {"images": len(flat.registered)}
+
+    return cached_stage(
+        context,
+        "undistort",
+        inputs={posed.time.name: posed.output.key},
+        settings=None,
+        code=(poses,),
+        build=flat_into,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PosedStages:
+    """The stages up to poses: the last one wrote its scene to ``SCENE``; ``metrics`` are its own measures."""
+
+    stages: tuple[CachedStage, ...]
+    metrics: dict[str, float | None]
+
+
+def train_and_measure(
+    data: RecipeInput, posed: PosedStages, settings: TrainSettings, context: RecipeContext, lpips: Lpips
+) -> RecipeResult:
+    """Train a splat on the undistorted photos of a scene with poses, and measure test renders and poses.
+
+    Parameters
+    ----------
+    lpips:
+        Made before anything else, so that a damaged weights file is told before minutes are spent.
+    """
+    scene = read_scene(posed.stages[-1].folder / SCENE)
+    flat = undistorted(posed.stages[-1], context)
+    flat_scene = read_scene(flat.folder / SCENE)
+    trained = train_splats(
+        flat_scene,
+        settings,
+        seed=context.seed,
+        device=context.device,
+        progress=context.progress,
+        checkpoint_dir=context.checkpoint,
+    )
+    training = StageTime("train", sum(trained.seconds.values()))
+    start = time.perf_counter()
+    views, image_metrics, image_report = measure_test_renders(
+        render_test_views(trained.gaussians, flat_scene, settings, device=context.device),
+        len(flat_scene.of_split("test")),
+        context.artifacts,
+        lpips,
+        context.progress,
+    )
+    pose_metrics, pose_report = measure_poses(scene, data.reference)
+    stages = (*posed.stages, flat)
+    return RecipeResult(
+        scene=scene,
+        gaussians=trained.gaussians,
+        times=(*(s.time for s in stages), training, StageTime("measure", time.perf_counter() - start)),
+        metrics={
+            **image_metrics,
+            **pose_metrics,
+            **posed.metrics,
+            "splat.gaussians": float(len(trained.gaussians)),
+        },
+        reports={
+            **{stage.time.name: stage.report for stage in stages},
+            "train": trained.to_dict(),
+            "images": image_report,
+            "poses": pose_report,
+        },
+        test_views=views,
+    )
+
+
+def sfm_metrics(scene: Scene, report: dict[str, Any]) -> dict[str, float | None]:
+    """Return the measures that every way to poses and points has."""
+    return {
+        "sfm.images": float(len(scene)),
+        "sfm.registered": float(len(scene.registered)),
+        "sfm.points": float(report["points"]),
+        "sfm.reprojection_error_px": float(report["mean_reprojection_error"]),
+    }
