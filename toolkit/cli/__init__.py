@@ -1,0 +1,54 @@
+"""The command line: reads arguments, calls the toolkit, prints."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+import toolkit
+from toolkit.cli import data, pages, runs
+from toolkit.cli.common import Command
+from toolkit.errors import Cancelled, ToolkitError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit code: 0, 2 for an error that is told, 130 when stopped."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    arguments = build_parser(with_sample_flags="sample" in given).parse_args(given)
+    command: Command = arguments.command
+    try:
+        command(arguments)
+        sys.stdout.flush()
+    except (Cancelled, KeyboardInterrupt) as stop:
+        print(f"stopped: {str(stop) or 'Ctrl-C'}", file=sys.stderr)
+        return 130
+    except ToolkitError as error:
+        if arguments.debug:
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # The reader of our output went away (as in `toolkit runs | head`); nothing more can be said to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return 0
+
+
+def build_parser(*, with_sample_flags: bool = True) -> argparse.ArgumentParser:
+    """Return the parser of all commands.
+
+    The flags of ``sample`` come from its settings, which take a moment to import: only that command needs them.
+    """
+    parser = argparse.ArgumentParser(
+        prog="toolkit",
+        description="3D reconstruction from drone video, satellite images and inspection footage.",
+        epilog="Example: toolkit run colmap-3dgs --data photos/ --set train.steps=500",
+    )
+    parser.add_argument("--version", action="version", version=f"toolkit {toolkit.__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    pages.add_commands(commands)
+    runs.add_commands(commands)
+    data.add_commands(commands, with_sample_flags=with_sample_flags)
+    return parser
