@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,10 @@ import pytest
 from PIL import Image
 
 from toolkit.cli import main
+from toolkit.samples.make import SampleSettings, make_sample
+from toolkit.scene.dataset import Capture, open_capture
+from toolkit.scene.exif import PhotoTags, read_tags
+from toolkit.scene.tag_writer import exif_block, xmp_packet
 
 QUICK = ["--set", "sift.max_features=512", "--set", "train.steps=5", "--set", "train.max_side=64"]
 
@@ -121,3 +126,120 @@ def test_a_full_disk(tmp_path: Path, small_disk: Path, capsys: pytest.CaptureFix
     said = refused(capsys, *run_arguments(folder, small_disk / "runs"))
     assert "disk is full" in said
     assert "resume" in said
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the pictures of a small flight, as a drone writes them."""
+    settings = SampleSettings().replace(
+        {
+            "flight.frames": 8,
+            "flight.arc": 60.0,
+            "flight.image_width": 192,
+            "flight.image_height": 144,
+            "flight.samples": 1,
+        }
+    )
+    folder = tmp_path_factory.mktemp("flight") / "town"
+    make_sample(folder, settings)
+    return folder / "images"
+
+
+def retagged(flown: Path, folder: Path, changes: Mapping[str, Callable[[PhotoTags], PhotoTags]]) -> Path:
+    """Copy the flight with other tags in the named pictures."""
+    shutil.copytree(flown, folder)
+    for name, change in changes.items():
+        with Image.open(folder / name) as picture:
+            tags, pixels = change(read_tags(picture)), picture.convert("RGB")
+        exif, xmp = exif_block(tags, pixels.width, pixels.height), xmp_packet(tags)
+        pixels.save(folder / name, quality=95, exif=exif, xmp=xmp)
+    return folder
+
+
+def with_gps(flown: Path, folder: Path, name: str, gps: Mapping[int, object]) -> Path:
+    """Copy the flight with other GPS tags in one picture, as no careful writer would write them."""
+    shutil.copytree(flown, folder)
+    with Image.open(folder / name) as picture:
+        exif, xmp, pixels = picture.getexif(), picture.info["xmp"], picture.convert("RGB")
+    exif.get_ifd(0x8825).update(gps)
+    pixels.save(folder / name, exif=exif, xmp=xmp)
+    return folder
+
+
+def sensor_arguments(data: Path, runs: Path) -> list[str]:
+    return ["run", "sensor-3dgs", "--data", str(data), "--runs", str(runs), *QUICK]
+
+
+def told_of(capture: Capture) -> str:
+    return " | ".join(capture.warnings)
+
+
+def test_photos_without_gps_cannot_be_placed_by_sensors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(capsys, *sensor_arguments(write_noise_photos(tmp_path / "photos", 4), tmp_path / "runs"))
+    assert "do not say where they were taken" in said
+    assert "Use colmap-3dgs" in said
+
+
+def test_one_photo_without_gps_is_named(flown: Path, tmp_path: Path) -> None:
+    folder = retagged(
+        flown, tmp_path / "p", {"frame_0003.jpg": lambda tags: replace(tags, position=None, gimbal=None)}
+    )
+    assert "1 of 8 photos: no GPS position, which 7 others have (frame_0003.jpg)" in told_of(open_capture(folder))
+
+
+def test_gps_0_0_is_no_position(flown: Path, tmp_path: Path) -> None:
+    folder = with_gps(flown, tmp_path / "p", "frame_0002.jpg", {2: (0.0, 0.0, 0.0), 4: (0.0, 0.0, 0.0)})
+    capture = open_capture(folder)
+    assert "GPS position left out: it is 0, 0, which receivers without a fix write (frame_0002.jpg)" in told_of(
+        capture
+    )
+    prior = capture.scene.frame("frame_0002.jpg").prior
+    assert prior is not None
+    assert prior.position is None
+
+
+def test_an_altitude_that_cannot_be_is_left_out(flown: Path, tmp_path: Path) -> None:
+    folder = with_gps(flown, tmp_path / "p", "frame_0005.jpg", {6: 90_000.0})
+    assert "the altitude is 90000 m, expected -1000 to 50000 (frame_0005.jpg)" in told_of(open_capture(folder))
+
+
+def test_orientation_0_is_taken_as_upright_and_told(flown: Path, tmp_path: Path) -> None:
+    folder = retagged(flown, tmp_path / "p", {})
+    with Image.open(folder / "frame_0001.jpg") as picture:
+        exif, pixels = picture.getexif(), picture.convert("RGB")
+    exif[0x0112] = 0
+    pixels.save(folder / "frame_0001.jpg", exif=exif)
+    assert "its orientation tag is 0, expected 1 to 8; it is taken as upright (frame_0001.jpg)" in told_of(
+        open_capture(folder)
+    )
+
+
+def test_portrait_among_landscape_is_told_and_gets_a_camera(flown: Path, tmp_path: Path) -> None:
+    folder = retagged(flown, tmp_path / "p", {})
+    with Image.open(folder / "frame_0006.jpg") as picture:
+        picture.convert("RGB").transpose(Image.Transpose.ROTATE_90).save(folder / "frame_0006.jpg")
+    capture = open_capture(folder)
+    assert "portrait format among landscape ones; each format gets a camera of its own (frame_0006.jpg)" in told_of(
+        capture
+    )
+    assert len(capture.scene.cameras) == 2
+
+
+def test_what_the_data_say_is_shown_with_the_result(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = retagged(
+        flown, tmp_path / "p", {"frame_0003.jpg": lambda tags: replace(tags, position=None, gimbal=None)}
+    )
+    assert main(sensor_arguments(folder, tmp_path / "runs")) == 0
+    said = capsys.readouterr().out
+    assert "data: 1 of 8 photos: no GPS position, which 7 others have (frame_0003.jpg)" in said
+    assert "sensors: 1 of 8 frames have no GPS position: frame_0003.jpg" in said
+
+
+def test_transforms_without_a_key(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = retagged(flown, tmp_path / "p", {})
+    (folder / "transforms.json").write_text('{"frames": [{"file_path": "frame_0000.jpg"}], "fl_x": 100}')
+    said = refused(capsys, *run_arguments(folder, tmp_path / "runs"))
+    assert "transforms.json" in said
+    assert "transform_matrix" in said

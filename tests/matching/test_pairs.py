@@ -142,11 +142,17 @@ def test_choose_pairs_follows_the_settings() -> None:
     }
 
 
+def test_a_frame_without_position_is_matched_with_those_before_and_after_it() -> None:
+    scene = scene_with([[0.0, 0, 0], [1.0, 0, 0], [50.0, 0, 0], None, [51.0, 0, 0], [2.0, 0, 0]])
+    found = choose_pairs(scene, PairSettings(method="spatial", neighbours=1)).index.tolist()
+    assert found == [[0, 1], [1, 5], [2, 3], [2, 4], [3, 4]]
+
+
 def test_spatial_without_positions_names_the_frames_and_the_way_out() -> None:
     scene = scene_with([[0.0, 0, 0], None, [1.0, 0, 0], None])
     with pytest.raises(
         StageError,
-        match=r"position of every frame; .*found 2 of 4 frames without one: 1\.png, 3\.png\. Choose the exhaustive",
+        match=r"position of most frames; .*found 2 of 4 frames without one: 1\.png, 3\.png\. Choose the exhaustive",
     ):
         choose_pairs(scene, PairSettings(method="spatial"))
 

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import csv
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
+from PIL import Image
 
+from toolkit.geometry.attitude import Attitude
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.scene.dataset import Capture, open_capture
+from toolkit.scene.exif import read_tags
 from toolkit.scene.pictures import area_resize, load_picture
 
 pytestmark = pytest.mark.real
@@ -97,3 +102,38 @@ def test_strechas_reference_agrees_with_its_pictures(real_data: Path, name: str)
     normalised = rays[1] / rays[1][:, 2:]
     distance = np.abs((lines * normalised).sum(axis=1)) / np.linalg.norm(lines[:, :2], axis=1) * camera.params[0]
     assert np.median(distance) < 1.0
+
+
+@pytest.mark.parametrize("name", ["uav_brighton_beach", "uav_gimbal_rotation"])
+def test_tags_are_those_of_the_table_beside_the_photos(real_data: Path, name: str) -> None:
+    """The table was made by another reader."""
+    with (real_data / name / "metadata.csv").open(newline="") as handle:
+        rows = list(csv.DictReader(handle))
+    assert rows
+    for row in rows:
+        with Image.open(real_data / name / "images" / row["image"]) as picture:
+            tags = read_tags(picture)
+        assert tags.doubts == ()
+        assert tags.position == pytest.approx((float(row["lat"]), float(row["lon"]), float(row["alt"])), abs=1e-2)
+        assert tags.position is not None
+        # Seven decimals of a degree.
+        assert tags.position[:2] == pytest.approx((float(row["lat"]), float(row["lon"])), abs=1e-7)
+        assert tags.relative_altitude == float(row["rel_alt"])
+        assert tags.gimbal == Attitude(*(float(row[f"gimbal_{axis}"]) for axis in ("yaw", "pitch", "roll")))
+        assert tags.flight is not None
+        assert tags.flight.yaw == float(row["flight_yaw"])
+        assert tags.time is not None
+        assert datetime.fromtimestamp(tags.time, UTC).strftime("%Y:%m:%d %H:%M:%S") == row["datetime"]
+
+
+def test_every_photo_gives_tags_or_a_doubt(real_data: Path) -> None:
+    photos = sorted(path for path in real_data.glob("*/images/*") if path.suffix.lower() in (".jpg", ".jpeg"))
+    assert len(photos) > 200
+    placed = 0
+    for path in photos:
+        with Image.open(path) as picture:
+            tags = read_tags(picture)
+        placed += tags.position is not None
+        assert "damaged" not in " ".join(tags.doubts), (path, tags.doubts)
+    # Brighton, Sheffield and the gimbal set have GPS.
+    assert placed == 18 + 81 + 8

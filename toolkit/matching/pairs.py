@@ -37,7 +37,11 @@ class PairSettings(Settings):
         doc="Sequential: match every so many frames with each other, to close loops; 0: do not.",
     )
     neighbours = Integer(
-        8, bounds=(1, 1000), unit="frames", doc="Spatial: how many nearest frames each frame is matched with."
+        8,
+        bounds=(1, 1000),
+        unit="frames",
+        doc="Spatial: how many nearest frames each frame is matched with; one without position is matched with as "
+        "many before and after it.",
     )
     max_distance = Number(
         0.0, bounds=(0.0, None), unit="m", doc="Spatial: frames farther apart are not matched; 0: no limit."
@@ -163,8 +167,8 @@ def choose_pairs(scene: Scene, settings: PairSettings) -> ChosenPairs:
     Raises
     ------
     StageError
-        For fewer than two frames, for the spatial method where frames have no position, and where no frame is
-        within ``max_distance`` of another.
+        For fewer than two frames, for the spatial method where half of the frames or more have no position, and
+        where no frame is within ``max_distance`` of another.
     """
     count = len(scene)
     if count < 2:
@@ -180,7 +184,7 @@ def choose_pairs(scene: Scene, settings: PairSettings) -> ChosenPairs:
             loop_stride=settings.loop_stride,
         )
     else:
-        index = spatial_pairs(_positions(scene), settings.neighbours, settings.max_distance or None)
+        index = _spatial(scene, settings)
         if not len(index):
             raise StageError(
                 "No two frames are near enough to each other to be matched",
@@ -201,25 +205,25 @@ def connected_groups(count: int, pairs: Pairs) -> tuple[tuple[int, ...], ...]:
     return tuple(sorted(groups, key=lambda group: (-len(group), group)))
 
 
-def _positions(scene: Scene) -> NDArray[np.float64]:
-    """Return the sensors' camera centres (n, 3) of all frames."""
-    positions = []
-    missing = []
-    for frame in scene.frames:
-        if frame.prior is not None and frame.prior.position is not None:
-            positions.append(frame.prior.position)
-        else:
-            missing.append(frame.name)
-    if missing:
+def _spatial(scene: Scene, settings: PairSettings) -> Pairs:
+    """Pair frames by the sensors' camera centres; the few that have none, with those before and after them."""
+    priors = [frame.prior for frame in scene.frames]
+    positions = {i: p.position for i, p in enumerate(priors) if p is not None and p.position is not None}
+    missing = [i for i in range(len(scene)) if i not in positions]
+    if 2 * len(missing) >= len(scene):
+        names = [scene.frames[i].name for i in missing]
         raise StageError(
-            "Spatial pairs need a position of every frame",
+            "Spatial pairs need a position of most frames",
             expected="positions from EXIF GPS or scene.json",
             found=f"{len(missing)} of {len(scene)} frames without one: "
-            + ", ".join(missing[:5])
-            + (", ..." if len(missing) > 5 else ""),
+            + ", ".join(names[:5])
+            + (", ..." if len(names) > 5 else ""),
             todo="Choose the exhaustive or the sequential method instead",
         )
-    return np.array(positions)
+    placed = np.array(list(positions))
+    near = spatial_pairs(list(positions.values()), settings.neighbours, settings.max_distance or None)
+    in_order = sequential_pairs(len(scene), settings.neighbours)
+    return _unique(np.concatenate([placed[near], in_order[np.isin(in_order, missing).any(axis=1)]]))
 
 
 def _unique(pairs: NDArray[np.int64]) -> Pairs:

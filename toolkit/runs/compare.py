@@ -232,7 +232,7 @@ def _state_warnings(runs: Sequence[ComparedRun]) -> list[str]:
 def _stage_warnings(runs: Sequence[ComparedRun]) -> list[str]:
     """Return what stages noticed: the list ``warnings`` in a stage's report."""
     return [
-        f"{item.label}, {stage}: {warning}."
+        f"{item.label}, {stage}: {warning}"
         for item in runs
         if item.result is not None
         for stage, report in item.result.reports.items()

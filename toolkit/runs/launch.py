@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +148,9 @@ def _work(run: RunFolder, progress: Progress, recipe: Recipe | None, *, allowed:
             )
             data = RecipeInput(capture.scene, capture.reference, record.data_fingerprint)
             result = chosen.run(data, settings, context)
+            if capture.warnings:
+                told = {"data": {"warnings": list(capture.warnings)}}
+                result = dataclasses.replace(result, reports={**told, **result.reports})
             for value in write_result(result, capture.reference, run.artifacts):
                 book.log(f"warning: {value} is not finite and is stored as null")
     return result
