@@ -48,7 +48,7 @@ demo: $(VENV)/.core  ## Make a sample flight, run two methods on it, compare the
 	$(BIN)/toolkit demo --folder $(DEMO)
 
 lab: $(VENV)/.ui  ## Open the notebooks in JupyterLab.
-	$(BIN)/jupyter lab --notebook-dir notebooks 00_tour.ipynb
+	$(BIN)/jupyter lab --config scripts/jupyter_config.py notebooks/00_tour.ipynb
 
 dashboard: $(VENV)/.ui  ## Serve the page of runs on this machine: RUNS=folder, PORT=number.
 	$(BIN)/toolkit dashboard --runs $(RUNS) --port $(PORT)
@@ -56,9 +56,10 @@ dashboard: $(VENV)/.ui  ## Serve the page of runs on this machine: RUNS=folder, 
 test: $(VENV)/.dev  ## Run the tests.
 	$(BIN)/python -m pytest
 
-bench: $(VENV)/.dev  ## Measure (an hour): the rasterizer, and real photos where TOOLKIT_DATA names them.
+bench: $(VENV)/.dev  ## Measure (an hour): rasterizer, sensor poses, real photos where TOOLKIT_DATA names them.
 	$(BIN)/python tests/benchmarks/bench_rasterize.py --gaussians 10000 50000 100000 --repeats 30
 	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
+	$(BIN)/python tests/benchmarks/sensor_poses.py --runs runs/bench-sensors
 
 lint: $(VENV)/.dev  ## Check style and types.
 	$(BIN)/ruff format --check .

@@ -203,6 +203,16 @@ def test_an_altitude_that_cannot_be_is_left_out(flown: Path, tmp_path: Path) -> 
     assert "the altitude is 90000 m, expected -1000 to 50000 (frame_0005.jpg)" in told_of(open_capture(folder))
 
 
+def test_heights_that_contradict_each_other_are_told(flown: Path, tmp_path: Path) -> None:
+    def low(tags: PhotoTags) -> PhotoTags:
+        assert tags.position is not None
+        return replace(tags, position=(*tags.position[:2], tags.position[2] - 60.0), above_ellipsoid=False)
+
+    told = told_of(open_capture(retagged(flown, tmp_path / "p", {"frame_0004.jpg": low})))
+    assert "GPS height and height above take-off contradict each other by over 15 m (frame_0004.jpg)" in told
+    assert "7 of 8 photos: altitude above the ellipsoid, others above the sea" in told
+
+
 def test_orientation_0_is_taken_as_upright_and_told(flown: Path, tmp_path: Path) -> None:
     folder = retagged(flown, tmp_path / "p", {})
     with Image.open(folder / "frame_0001.jpg") as picture:

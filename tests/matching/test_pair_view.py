@@ -11,7 +11,7 @@ import pytest
 
 from toolkit.errors import DataError
 from toolkit.geometry.cameras import ColmapCamera
-from toolkit.matching.database import create_database
+from toolkit.matching.database import create_database, settle
 from toolkit.matching.pair_view import matched_pixels
 from toolkit.scene import Frame, Scene
 
@@ -70,6 +70,17 @@ def test_what_guided_matching_added_comes_last(tmp_path: Path, scene: Scene) -> 
     np.testing.assert_array_equal(found.first, KEYPOINTS[1][[0, 2, 1, 1]])
     np.testing.assert_array_equal(found.second, KEYPOINTS[2][[1, 2, 0, 1]])
     assert found.inlier.tolist() == [False, True, False, True]
+
+
+def test_reading_leaves_the_database_as_it_was(tmp_path: Path, scene: Scene) -> None:
+    path = database(tmp_path, scene)
+    settle(path)
+    before = path.read_bytes()
+    matched_pixels(path, scene, "1 x.jpg", "2 x.jpg")
+    # The header counts its changes, to and fro, and the version that made the last (bytes 24 to 28 and 92 to 100).
+    changed = [i for i, (old, new) in enumerate(zip(before, path.read_bytes(), strict=True)) if old != new]
+    assert all(24 <= i < 28 or 92 <= i < 100 for i in changed)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["matches.db"]
 
 
 @pytest.mark.parametrize("config", [KINDS.DEGENERATE, KINDS.WATERMARK, KINDS.UNDEFINED])

@@ -11,7 +11,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError
-from toolkit.matching.database import NOT_VERIFIED, keypoint_counts
+from toolkit.matching.database import NOT_VERIFIED, keypoint_counts, settle
 from toolkit.scene import Scene
 
 
@@ -73,6 +73,8 @@ def matched_pixels(database_path: Path, scene: Scene, first: str, second: str) -
             if int(geometry.config) not in NOT_VERIFIED:
                 verified = _rows(geometry.inlier_matches)
         pixels = [_pixels(database, number) for number in (one, other)]
+    # COLMAP changes how the file is journalled, even when it only reads.
+    settle(database_path)
     known = {(i, j) for i, j in matches.tolist()}
     found_later = [row for row in verified.tolist() if tuple(row) not in known]
     rows = np.concatenate([matches, _rows(found_later)])

@@ -44,10 +44,10 @@ def curve_figure(
         )
     drawn.update_xaxes(title_text=x_title)
     if log:
-        drawn.update_yaxes(type="log", dtick="D2")
+        drawn.update_yaxes(type="log", dtick="D2", tickformat="~g")
     return drawn
 
 
-def thinned(count: int) -> NDArray[np.int64]:
-    """Return at most :data:`MOST_POINTS` evenly spread positions of ``count``, first and last included."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).round().astype(np.int64))
+def thinned(count: int, most: int = MOST_POINTS) -> NDArray[np.int64]:
+    """Return at most ``most`` evenly spread positions of ``count``, first and last included."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

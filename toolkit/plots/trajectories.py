@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 _CORNERS = np.array([[-0.6, -0.45, 1.0], [0.6, -0.45, 1.0], [0.6, 0.45, 1.0], [-0.6, 0.45, 1.0]])
 #: Lines of the drawn camera: centre (0) to corners (1 to 4) and around.
 _LINES = ((0, 1, 2, 0), (0, 2, 3, 0), (0, 3, 4, 0), (0, 4, 1))
+#: Where the viewer stands, in diagonals of the drawn box from its middle.
+_EYE = (0.5, -0.62, 0.47)
 
 
 def trajectory_figure(
@@ -44,18 +47,7 @@ def trajectory_figure(
     for position, (label, poses) in enumerate(paths.items()):
         if poses:
             _add_path(drawn, label, poses, colour(position), dash(position), size, most_cameras)
-    axis = {"gridcolor": NEUTRAL, "zerolinecolor": NEUTRAL, "showbackground": False, "showspikes": False}
-    drawn.update_layout(
-        legend={"y": 1.0},
-        scene={
-            "aspectmode": "data",
-            "camera": {"eye": {"x": 1.35, "y": -1.35, "z": 1.1}},
-            "xaxis": axis,
-            "yaxis": axis,
-            "zaxis": axis,
-            "dragmode": "orbit",
-        },
-    )
+    drawn.update_layout(legend={"y": 1.0}, scene=space(np.concatenate([np.empty((0, 3)), *everything])))
     return drawn
 
 
@@ -104,6 +96,46 @@ def camera_lines(poses: Sequence[RigidTransform], size: float) -> Array:
         for line in _LINES:
             parts += [corners[list(line)], np.full((1, 3), np.nan)]
     return np.concatenate(parts) if parts else np.empty((0, 3))
+
+
+def space(points: Array, names: Sequence[str] = ("x", "y", "z"), up: Array | None = None) -> dict[str, Any]:
+    """Return the layout of a three-dimensional drawing in equal scale, all of it seen obliquely from above.
+
+    Plotly divides the sides of the box around what is drawn by their geometric mean: the flatter the box, the
+    larger it is in its units, and the farther the viewer must stand.
+
+    Parameters
+    ----------
+    points:
+        (N, 3) what is drawn.
+    names:
+        Titles of the axes.
+    up:
+        (3,) unit vector that is drawn upwards; z where left out.
+    """
+    sides = np.ptp(points, axis=0) if len(points) else np.ones(3)
+    sides = np.maximum(sides, max(1e-3 * float(sides.max()), 1e-12))
+    distance = float(np.linalg.norm(sides) / np.prod(sides) ** (1 / 3))
+    upwards = np.array([0.0, 0.0, 1.0]) if up is None else up
+    right = np.cross([0.0, 1.0, 0.0] if abs(upwards[1]) < 0.9 else [0.0, 0.0, 1.0], upwards)
+    right /= np.linalg.norm(right)
+    eye = distance * (np.array(_EYE) @ np.stack([right, np.cross(upwards, right), upwards]))
+    axis = {"gridcolor": NEUTRAL, "zerolinecolor": NEUTRAL, "showbackground": False, "showspikes": False}
+    # A short side has room for few numbers.
+    ticks = np.clip(np.rint(10 * sides / sides.max()), 2, 8).astype(int).tolist()
+    return {
+        "aspectmode": "data",
+        "dragmode": "orbit",
+        "camera": {"eye": _xyz(eye), "up": _xyz(upwards)},
+        **{
+            f"{letter}axis": {**axis, "title": {"text": name}, "nticks": most}
+            for letter, name, most in zip("xyz", names, ticks, strict=True)
+        },
+    }
+
+
+def _xyz(vector: Array) -> dict[str, float]:
+    return dict(zip("xyz", vector.tolist(), strict=True))
 
 
 def _centres(poses: Mapping[str, RigidTransform]) -> Array:

@@ -100,7 +100,7 @@ def check_pixels(scene: Scene, database_path: Path, *, progress: Progress = sile
     scene:
         With poses and priors from :func:`toolkit.poses.sensors.sensor_poses`.
     database_path:
-        Verified matches of its frames.
+        Verified matches of its frames. COLMAP opens it, which may change the file though not what it holds.
     progress:
         Told after each pair.
 

@@ -147,16 +147,17 @@ def sensor_sfm(
     start = time.perf_counter()
     # What is odd in the readings is told once, by the first look.
     sensors = sensor_poses(scene, settings)
-    pixels = check_pixels(sensors.scene, database_path, progress=progress)
-    if settings.correct_turns and pixels.turns:
-        sensors = dataclasses.replace(sensor_poses(scene, settings, turns=pixels.turns), warnings=sensors.warnings)
-    checked = time.perf_counter()
     with disk_errors(work_dir, "writing"):
         work_dir.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=work_dir, prefix=".sensors.", suffix=".tmp") as temporary:
         # COLMAP changes a database by opening it; this one may belong to another stage.
         copy = Path(temporary) / "matches.db"
         copy_database(database_path, copy)
+        pixels = check_pixels(sensors.scene, copy, progress=progress)
+        if settings.correct_turns and pixels.turns:
+            turned = sensor_poses(scene, settings, turns=pixels.turns)
+            sensors = dataclasses.replace(turned, warnings=sensors.warnings)
+        checked = time.perf_counter()
         contradicted = pixels.contradicted if settings.distrust else {}
         trusted = _without_readings(_with_start_cameras(sensors.scene, copy), contradicted)
         job = Refinement(trusted, copy, settings, seed)

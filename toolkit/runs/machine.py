@@ -35,12 +35,13 @@ def describe_machine(device: str) -> dict[str, Any]:
 
 def describe_threads() -> dict[str, Any]:
     """Return how many threads the kernels use: results are only the same to the bit with the same numbers."""
-    import numba
     import torch
+
+    from toolkit.splat.cpu.kernels import thread_count
 
     return {
         "torch": torch.get_num_threads(),
-        "numba": numba.get_num_threads(),
+        "numba": thread_count(),
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
     }
 

@@ -26,6 +26,9 @@ ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 # COLMAP's guess where nothing is known of the lens: a horizontal field of view of 45 degrees.
 _FOCAL_FACTOR = 1.2
 
+# Metres by which GPS heights and barometers drift apart in a flight, and some more.
+_HEIGHTS_APART = 15.0
+
 
 @dataclass(frozen=True, slots=True)
 class PhotoFolder:
@@ -218,9 +221,30 @@ def _warnings(photos: Sequence[_Photo]) -> tuple[str, ...]:
     upright = [photo.name for photo in photos if photo.height > photo.width]
     if 0 < len(upright) < len(photos):
         troubles["portrait format among landscape ones; each format gets a camera of its own"] = upright
+    troubles |= _height_troubles(photos)
     return tuple(
         f"{len(names)} of {len(photos)} photos: {what} ({_some(names)})" for what, names in troubles.items()
     )
+
+
+def _height_troubles(photos: Sequence[_Photo]) -> dict[str, list[str]]:
+    """Return what the heights of the photos say against each other."""
+    placed = [photo for photo in photos if photo.tags.position is not None]
+    troubles: dict[str, list[str]] = {}
+    above_ellipsoid = [photo.name for photo in placed if photo.tags.above_ellipsoid is True]
+    if above_ellipsoid and any(photo.tags.above_ellipsoid is False for photo in placed):
+        troubles["altitude above the ellipsoid, others above the sea; both are taken alike"] = above_ellipsoid
+    # The height of the take-off by each photo: one number, but for the errors of GPS and barometer.
+    takeoff = {
+        photo.name: photo.tags.position[2] - photo.tags.relative_altitude
+        for photo in placed
+        if photo.tags.position is not None and photo.tags.relative_altitude is not None
+    }
+    middle = float(np.median(list(takeoff.values()))) if takeoff else 0.0
+    odd = [name for name, height in takeoff.items() if abs(height - middle) > _HEIGHTS_APART]
+    if odd:
+        troubles[f"GPS height and height above take-off contradict each other by over {_HEIGHTS_APART:g} m"] = odd
+    return troubles
 
 
 def _some(names: Sequence[str]) -> str:

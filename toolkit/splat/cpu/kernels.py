@@ -36,12 +36,22 @@ def threading_layer() -> str:
         return ""
 
 
-@contextmanager
-def launching() -> Iterator[None]:
-    """Hold this around parallel kernels; lets others in at the same time only where the layer can bear it."""
+def thread_count() -> int:
+    """Return how many threads the kernels use. Numba chooses its threading layer by being asked."""
+    _prefer_openmp()
+    return int(numba.get_num_threads())
+
+
+def _prefer_openmp() -> None:
     if not threading_layer():
         # Numba would try TBB first, and warn where another library (Open3D) has loaded one that is too old for it.
         _config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]
+
+
+@contextmanager
+def launching() -> Iterator[None]:
+    """Hold this around parallel kernels; lets others in at the same time only where the layer can bear it."""
+    _prefer_openmp()
     if threading_layer() in ("tbb", "omp"):
         yield
         return

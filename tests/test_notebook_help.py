@@ -1,0 +1,89 @@
+"""What notebooks lean on: work folders, bars that end, samples made once, tables and paths in one frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolkit.errors import RunError
+from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.notebook import CellProgress, measures_text, poses_figure, sample_folder, work_folder
+from toolkit.progress import ProgressEvent
+from toolkit.samples.make import SampleSettings
+from toolkit.scene import Frame, Scene
+
+
+def test_work_lies_below_runs_and_beside_the_notebooks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert work_folder("tour") == tmp_path / "runs" / "tour"
+    assert (tmp_path / "runs" / "tour").is_dir()
+    (tmp_path / "notebooks").mkdir()
+    monkeypatch.chdir(tmp_path / "notebooks")
+    assert work_folder("tour") == tmp_path / "runs" / "tour"
+
+
+def test_a_file_in_the_way_of_the_work_folder_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(RunError, match="Something is in the way while making"):
+        work_folder("tour")
+
+
+def test_a_bar_ends_with_its_stage_and_once(capsys: pytest.CaptureFixture[str]) -> None:
+    bar = CellProgress()
+    for done in (0, 1, 2, 2, 2):
+        bar(ProgressEvent("match", done, 2))
+    bar(ProgressEvent("sfm", 0, 1))
+    bar(ProgressEvent("sfm", 1, 1))
+    captured = capsys.readouterr()
+    assert captured.err == ""  # which notebooks show as if something were wrong
+    assert captured.out.count("\n") == 2
+    assert "match: 100%" in captured.out
+    assert "sfm: 100%" in captured.out
+
+
+def test_the_same_stage_may_begin_again(capsys: pytest.CaptureFixture[str]) -> None:
+    bar = CellProgress()
+    for done in (0, 1, 0, 1):
+        bar(ProgressEvent("match", done, 1))
+    assert capsys.readouterr().out.count("\n") == 2
+
+
+def test_a_sample_is_made_once_for_the_same_settings(tmp_path: Path) -> None:
+    tiny = SampleSettings().replace({"flight.frames": 2, "flight.image_width": 32, "flight.image_height": 24})
+    folder = sample_folder(tmp_path, tiny)
+    made = (folder / "sample.json").stat().st_mtime_ns
+    assert sample_folder(tmp_path, tiny) == folder
+    assert (folder / "sample.json").stat().st_mtime_ns == made
+    assert sample_folder(tmp_path, tiny, seed=1) != folder
+
+
+def test_measures_are_columns_with_gaps() -> None:
+    lines = measures_text({"a": {"pos": 0.5, "ate": None}, "b": {"pos": 2.0}}).splitlines()
+    assert [line.split() for line in lines] == [["a", "b"], ["pos", "0.5000", "2"], ["ate", "–", "–"]]
+    assert measures_text({"a": {}}) == "Nothing was measured: the data have no reference."
+
+
+def scene(scale: float, count: int = 6) -> Scene:
+    places = [(scale * np.cos(i), scale * np.sin(i), scale) for i in range(count)]
+    frames = tuple(Frame(f"{i}.jpg", 1, RigidTransform.look_at(place, (0, 0, 0))) for i, place in enumerate(places))
+    return Scene(Path("images"), {1: ColmapCamera.pinhole(64, 48, 60.0)}, frames)
+
+
+def test_paths_are_laid_onto_the_reference() -> None:
+    figure = poses_figure({"half": scene(0.5), "<none>": scene(1.0).without_poses()}, scene(1.0))
+    half, truth = (next(item for item in figure.data if item.name == name) for name in ("half", "reference"))
+    np.testing.assert_allclose(np.asarray(half.x, float), np.asarray(truth.x, float), atol=1e-9)
+    assert "Sim(3)" in figure.layout.title.text
+    assert "<none>" not in figure.layout.title.text  # shown, not obeyed
+    assert "&lt;none&gt;" in figure.layout.title.text
+
+
+def test_without_a_reference_the_first_path_stands_still() -> None:
+    figure = poses_figure({"first": scene(2.0), "second": scene(5.0)}, None)
+    first, second = (next(item for item in figure.data if item.name == name) for name in ("first", "second"))
+    np.testing.assert_allclose(np.asarray(first.z, float), 2.0)
+    np.testing.assert_allclose(np.asarray(second.z, float), 2.0)

@@ -1,0 +1,104 @@
+"""What notebooks need around the toolkit's calls, so that a cell holds one call and one picture."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from toolkit.files import disk_errors
+from toolkit.progress import Progress, ProgressEvent, TqdmProgress, silent
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from toolkit.samples.make import SampleSettings
+    from toolkit.scene import Scene
+
+
+def work_folder(name: str) -> Path:
+    """Return ``runs/<name>``, made where it is missing.
+
+    It lies in the working directory, or beside it where that is the folder ``notebooks``: JupyterLab starts a
+    notebook in its own folder, ``make`` and the command line start one above.
+
+    Raises
+    ------
+    RunError
+        Where it may not be written.
+    """
+    here = Path.cwd()
+    folder = (here.parent if here.name == "notebooks" else here) / "runs" / name
+    with disk_errors(folder, "making"):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+class CellProgress:
+    """Shows each stage as one bar in the cell's output; a bar ends when its stage does."""
+
+    def __init__(self) -> None:
+        self._bar = TqdmProgress(sys.stdout)
+        self._ended = ""
+
+    def __call__(self, event: ProgressEvent) -> None:
+        whole = event.total is not None and event.done >= event.total
+        # Stages may tell their end more than once.
+        if whole and event.stage == self._ended:
+            return
+        self._bar(event)
+        self._ended = event.stage if whole else ""
+        if whole:
+            self._bar.close()
+
+
+def sample_folder(work: Path, settings: SampleSettings, *, seed: int = 0, progress: Progress = silent) -> Path:
+    """Return the folder of a sample flight below ``work``, making it where it is not there.
+
+    Its name tells the settings apart, so that a changed setting never meets an older flight. Raises as
+    :func:`toolkit.samples.make.make_sample`.
+    """
+    # Open3D, which casts the rays, else writes about a viewer of its own into the cell.
+    os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "True")
+    from toolkit.samples.make import make_sample
+    from toolkit.workspace import fingerprint
+
+    made_with = {"seed": seed, "settings": settings.to_dict()}
+    folder = work / f"town-{fingerprint(made_with)[:8]}"
+    if not folder.is_dir():
+        make_sample(folder, settings, seed=seed, progress=progress)
+    return folder
+
+
+def poses_figure(found: Mapping[str, Scene], reference: Scene | None) -> go.Figure:
+    """Draw the camera paths of several scenes in one frame, laid onto the reference or else onto the first.
+
+    The title tells what was aligned how, and what could not be.
+    """
+    from toolkit.plots.style import shown
+    from toolkit.plots.trajectories import trajectory_figure
+    from toolkit.runs.trajectories import Trajectories, Trajectory, align_trajectories
+
+    def path(scene: Scene) -> Trajectory:
+        return Trajectory({frame.name: frame.cam_from_world for frame in scene.registered if frame.cam_from_world})
+
+    truth = None if reference is None else path(reference)
+    aligned = align_trajectories({label: Trajectories(path(scene), truth) for label, scene in found.items()})
+    paths = {label: aligned.paths[label].poses if label in aligned.paths else {} for label in found}
+    drawn = trajectory_figure(paths, None if aligned.reference is None else aligned.reference.poses)
+    drawn.update_layout(title_text="<br>".join(shown(remark) for remark in aligned.remarks), title_font_size=12)
+    return drawn.update_layout(margin_t=30 + 16 * len(aligned.remarks))
+
+
+def measures_text(columns: Mapping[str, Mapping[str, float | None]]) -> str:
+    """Return measures as a table, one column for each entry, one row for each measure that any has."""
+    from toolkit.runs.measures import format_number
+    from toolkit.runs.text import table
+
+    names = list(dict.fromkeys(name for column in columns.values() for name in column))
+    if not names:
+        return "Nothing was measured: the data have no reference."
+    rows = [[name, *(format_number(column.get(name)) for column in columns.values())] for name in names]
+    return table([["", *columns], *rows], right=True)
