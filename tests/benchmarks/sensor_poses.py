@@ -14,12 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from toolkit.metrics.trajectory import trajectory_errors
+from toolkit.poses.sensors import SensorPoseSettings, sensor_poses
 from toolkit.progress import TqdmProgress
 from toolkit.recipes.registry import find_recipe
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.index import run_folders, summarise
 from toolkit.runs.launch import create_run, execute
-from toolkit.samples.make import SampleSettings, make_sample
+from toolkit.samples.flights import FlightSettings, flight_camera, flight_poses
+from toolkit.samples.make import ORIGIN, SampleSettings, make_sample
+from toolkit.samples.sensors import SensorSettings, prior_of, read_sensors
+from toolkit.samples.town import build_town
+from toolkit.scene import Frame, Scene
 from toolkit.scene.folder import read_scene
 
 RECIPES = ("colmap-3dgs", "sensor-3dgs")
@@ -43,6 +48,22 @@ def finished_run(recipe_name: str, name: str, data: Path, runs_dir: Path, change
     finally:
         bar.close()
     return run
+
+
+def noise(count: int = 4000) -> None:
+    """Print the errors of sensor poses over many frames of the town flight, without pictures."""
+    town = build_town(SampleSettings().town, np.random.default_rng(0))
+    poses = flight_poses(FlightSettings(frames=count), town, np.random.default_rng(1))
+    readings = read_sensors(poses, SensorSettings(), np.random.default_rng(2), interval=0.5)
+    frames = tuple(
+        Frame(f"{i}", 1, pose, prior=prior_of(reading))
+        for i, (pose, reading) in enumerate(zip(poses, readings, strict=True))
+    )
+    truth = Scene(Path(), {1: flight_camera(FlightSettings())}, frames, georeference=ORIGIN)
+    sensed = sensor_poses(truth.without_poses(), SensorPoseSettings()).scene
+    errors = trajectory_errors(sensed, truth, "none")
+    print(f"{count} frames with 1 m and 1 degree of noise an axis: POS {errors.pos:.3f} m, ")
+    print(f"ROT {errors.rot:.3f} degrees; expected {MEAN:.3f}, standard error {DEVIATION / np.sqrt(count):.3f}\n")
 
 
 def flight(runs_dir: Path) -> None:
@@ -103,6 +124,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--runs", type=Path, default=Path("runs/bench-sensors"), help="folder of the runs")
     arguments = parser.parse_args()
+    noise()
     flight(arguments.runs)
     data = os.environ.get("TOOLKIT_DATA")
     if data:

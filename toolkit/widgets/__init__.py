@@ -1,0 +1,1 @@
+"""Runs as widgets of a dashboard. Needs Panel: ``pip install 'sightline-toolkit[ui]'``."""
