@@ -80,7 +80,7 @@ def test_pictures_that_show_different_things_are_told(tmp_path: Path) -> None:
 def test_the_pairs_are_looked_at_before_the_features(tmp_path: Path) -> None:
     truth = roof_scene(tmp_path / "images", CAMERA, 3)
     settings = QUICK.replace({"pairs.method": "spatial"})
-    with pytest.raises(StageError, match="Spatial pairs need a position of every frame"):
+    with pytest.raises(StageError, match="Spatial pairs need a position of most frames"):
         sfm(truth.without_poses(), settings, work_dir=tmp_path / "work")
     assert not (tmp_path / "work").exists()
 
