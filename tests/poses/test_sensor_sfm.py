@@ -102,7 +102,9 @@ def test_frames_without_readings_are_placed_by_their_matches(tmp_path: Path) -> 
 def test_a_straight_flight_takes_its_roll_from_the_gimbal(tmp_path: Path) -> None:
     line = [pose((0.0, 8.0 * i, 50.0), Attitude(0.0, -80.0)) for i in range(12)]
     scene, truth, database = flight(tmp_path, line, position_noise=0.1)
-    found = refine(scene, database)
+    # A frame that has no reading must not be taken for one that has.
+    found = refine(with_prior(scene, 5, None), database)
+    assert found.placed_by_points == ("005.jpg",)
     assert any("lie on a line" in text for text in found.warnings)
     # The roll about the line is the mean of 12 readings with one degree: 0.3 degrees; three times that.
     assert trajectory_errors(found.scene, truth, "none").rot < 0.9

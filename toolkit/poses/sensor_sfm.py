@@ -163,7 +163,7 @@ def sensor_sfm(
         job = Refinement(trusted, copy, settings, seed)
         model = run_colmap(job.run, job.event, progress, copy)
     refined = time.perf_counter()
-    turned_about_line = _settle_line(model, sensors.scene)
+    turned_about_line = _settle_line(model, trusted)
     unusable = {
         **dict.fromkeys(sensors.no_attitude, "no gimbal attitude"),
         **dict.fromkeys(sensors.no_position, "no GPS position"),
@@ -225,19 +225,26 @@ def _poses(model: pycolmap.Reconstruction) -> dict[int, RigidTransform]:
     return poses
 
 
-def _settle_line(model: pycolmap.Reconstruction, sensors: Scene) -> tuple[str, ...]:
+def _settle_line(model: pycolmap.Reconstruction, trusted: Scene) -> tuple[str, ...]:
     """Turn a reconstruction whose cameras lie on a line about it, by the gimbal: positions leave that open."""
-    poses = _poses(model)
-    frames = [sensors.frames[image_id - 1] for image_id in poses]
-    targets = [frame.cam_from_world for frame in frames if frame.cam_from_world is not None]
+    pairs = []
+    for image_id, pose in _poses(model).items():
+        by_sensors = trusted.frames[image_id - 1].cam_from_world
+        if by_sensors is not None:
+            pairs.append((pose, by_sensors))
+    if len(pairs) < 2:
+        return ()
+    found, targets = ([pair[side] for pair in pairs] for side in (0, 1))
     centres = np.array([pose.centre for pose in targets])
     across = np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(centres))
-    sigmas = [f.prior.position_sigma for f in frames if f.prior is not None and f.prior.position_sigma is not None]
+    priors = [frame.prior for frame in trusted.registered]
+    sigmas = [prior.position_sigma for prior in priors if prior is not None and prior.position_sigma is not None]
     if across > _LINE_SIGMAS * float(np.median(sigmas)):
         return ()
-    similarity = align_poses(list(poses.values()), targets, with_scale=True)
-    x, y, z = similarity.rotation, similarity.translation, similarity.scale
-    model.transform(pycolmap.Sim3d(z, pycolmap.Rotation3d(x), y))
+    similarity = align_poses(found, targets, with_scale=True)
+    model.transform(
+        pycolmap.Sim3d(similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation)
+    )
     return (
         f"the positions lie on a line (to {across:.1f} m): the turn about it was taken from the gimbal, and focal "
         "length and height are hardly told apart",
