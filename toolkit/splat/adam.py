@@ -15,13 +15,17 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.splat.cpu.kernels import launching, parallel_kernel
+from toolkit.splat.cpu.kernels import kernel, launching, parallel_kernel
+from toolkit.splat.cpu.simd import LANES, fma, root, splat, total
+from toolkit.splat.cpu.simd_memory import load, store
 
 BETA1: Final = 0.9
 BETA2: Final = 0.999
 EPSILON: Final = 1e-15  # gradients of a mean over pixels are tiny; the value is that of Kerbl et al.'s code
 
 _BLOCK: Final = 4096
+_REST1: Final = np.float32(1 - BETA1)
+_REST2: Final = np.float32(1 - BETA2)
 Floats = NDArray[np.float32]
 
 
@@ -41,7 +45,8 @@ def adam_update(
     """
     if parameter.device.type != "cpu" or parameter.dtype != torch.float32:
         return adam_update_reference(parameter, gradient, first, second, rates, step)
-    pattern = rates.reshape(-1).repeat(max(1, _BLOCK // max(1, rates.numel())))
+    # Whole vectors: a multiple of eight rows.
+    pattern = rates.reshape(-1).repeat(LANES * max(1, _BLOCK // (LANES * max(1, rates.numel()))))
     sums = np.zeros(-(-parameter.numel() // len(pattern)), np.float32)
     with launching():
         _update_blocks(
@@ -77,21 +82,59 @@ def _update_blocks(
 
     ``sums`` (blocks,) become finite where everything in a block is.
     """
-    beta1, beta2, epsilon = np.float32(BETA1), np.float32(BETA2), np.float32(EPSILON)
-    rest1, rest2 = np.float32(1 - BETA1), np.float32(1 - BETA2)
-    correct1, correct2 = np.float32(scale_first), np.float32(scale_second)
     size, n = len(pattern), len(parameter)
     for block in prange(len(sums)):
-        start = block * size
-        end = min(n, start + size)
-        x, m, v, g = parameter[start:end], first[start:end], second[start:end], gradient[start:end]
-        total = np.float32(0)
-        for i in range(end - start):
-            m[i] = beta1 * m[i] + rest1 * g[i]
-            v[i] = beta2 * v[i] + rest2 * g[i] * g[i]
-            x[i] -= pattern[i] * (m[i] * correct1) / (np.sqrt(v[i]) * correct2 + epsilon)
-            total += x[i] + g[i]
-        sums[block] = total
+        start = np.uint64(block * size)
+        end = min(np.uint64(n), start + np.uint64(size))
+        sums[block] = _update_block(
+            parameter,
+            first,
+            second,
+            gradient,
+            pattern,
+            start,
+            end,
+            np.float32(scale_first),
+            np.float32(scale_second),
+        )
+
+
+@kernel
+def _update_block(
+    parameter: Floats,
+    first: Floats,
+    second: Floats,
+    gradient: Floats,
+    pattern: Floats,
+    start: int,
+    end: int,
+    correct1: float,
+    correct2: float,
+) -> float:
+    """Update ``[start, end)``; return a number that is finite where everything in it is."""
+    lanes = np.uint64(LANES)
+    whole = start + (end - start) // lanes * lanes
+    sum8 = splat(0.0)
+    for i in range(start, whole, lanes):
+        g = load(gradient, i)
+        m = fma(splat(BETA1), load(first, i), g * _REST1)
+        v = fma(splat(BETA2), load(second, i), g * g * _REST2)
+        x = load(parameter, i) - load(pattern, i - start) * (m * correct1) / fma(
+            root(v), splat(correct2), splat(EPSILON)
+        )
+        store(first, i, m)
+        store(second, i, v)
+        store(parameter, i, x)
+        sum8 = sum8 + x + g
+    result = total(sum8)
+    for i in range(whole, end):
+        g = gradient[i]
+        first[i] = np.float32(BETA1) * first[i] + _REST1 * g
+        second[i] = np.float32(BETA2) * second[i] + _REST2 * g * g
+        deviation = np.sqrt(second[i]) * correct2 + np.float32(EPSILON)
+        parameter[i] -= pattern[i - start] * (first[i] * correct1) / deviation
+        result += parameter[i] + g
+    return result
 
 
 def adam_update_reference(

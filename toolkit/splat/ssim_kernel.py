@@ -13,6 +13,7 @@ inner loops run along contiguous memory.
 from __future__ import annotations
 
 import math
+import threading
 from typing import Final
 
 import numpy as np
@@ -20,8 +21,12 @@ from numba import prange
 from numpy.typing import NDArray
 
 from toolkit.splat.cpu.kernels import kernel, launching, parallel_kernel
+from toolkit.splat.cpu.simd import LANES, splat, total
+from toolkit.splat.cpu.simd_memory import load
 
 Image = NDArray[np.float32]
+
+_kept = threading.local()
 
 WINDOW_RADIUS: Final = 5
 WINDOW_SIGMA: Final = 1.5
@@ -85,14 +90,26 @@ def _horizontal_moments(x: Image, y: Image, planes: Image) -> None:
 
 
 @kernel
-def _ssim_row(moments: Image, scale: Image, by_mu: Image, by_xx: Image, by_xy: Image) -> float:
-    """Return the sum of ``scale`` times SSIM over a row, and write ``scale`` times its derivatives.
+def _sum(row: Image) -> float:
+    """Return the sum of a row (n,). Sums within the loops below would keep LLVM from vectorising them."""
+    whole = np.uint64(len(row)) // np.uint64(LANES) * np.uint64(LANES)
+    eight = splat(0.0)
+    for i in range(np.uint64(0), whole, np.uint64(LANES)):
+        eight = eight + load(row, i)
+    result = np.float64(total(eight))
+    for i in range(whole, np.uint64(len(row))):
+        result += row[i]
+    return result
+
+
+@kernel
+def _ssim_row(moments: Image, scale: Image, by_mu: Image, by_xx: Image, by_xy: Image, terms: Image) -> None:
+    """Write ``scale`` times SSIM of a row into ``terms`` (n,), and ``scale`` times its derivatives.
 
     ``moments`` (5, n) are mu_x, mu_y, E[x²], E[y²], E[xy]; ``by_mu``, ``by_xx`` and ``by_xy`` (n,) become the
     derivatives by mu_x, E[x²] and E[xy] while the other moments are held.
     """
     mu_xs, mu_ys, xxs, yys, xys = moments[0], moments[1], moments[2], moments[3], moments[4]
-    total = 0.0
     for i in range(len(scale)):
         mu_x, mu_y = mu_xs[i], mu_ys[i]
         luminance = _TWO * mu_x * mu_y + _C1
@@ -108,8 +125,7 @@ def _ssim_row(moments: Image, scale: Image, by_mu: Image, by_xx: Image, by_xy: I
         )
         by_xx[i] = -scale[i] * ssim / contrast_norm
         by_xy[i] = scale[i] * _TWO * luminance * inverse
-        total += scale[i] * ssim
-    return total
+        terms[i] = scale[i] * ssim
 
 
 @parallel_kernel
@@ -117,10 +133,13 @@ def _ssim_and_slopes(planes: Image, weights: Image, slopes: Image, sums: NDArray
     """Turn horizontal moments (5, H + 10, n) into row sums (H,) of weighted SSIM and slopes (3, H + 10, n)."""
     height, n = weights.shape
     for row in prange(height):
-        moments = np.empty((5, n), np.float32)
+        moments = np.empty((6, n), np.float32)
         for k in range(5):
             _blur_column(planes[k, row : row + 11], moments[k])
-        sums[row] = _ssim_row(moments, weights[row], slopes[0, row + 5], slopes[1, row + 5], slopes[2, row + 5])
+        terms = moments[5]
+        by_mu, by_xx, by_xy = slopes[0, row + 5], slopes[1, row + 5], slopes[2, row + 5]
+        _ssim_row(moments, weights[row], by_mu, by_xx, by_xy, terms)
+        sums[row] = _sum(terms)
 
 
 @parallel_kernel
@@ -132,21 +151,32 @@ def _gradient(
     l1_factor, ssim_factor = np.float32(l1), np.float32(ssim)
     for row in prange(height):
         padded = np.zeros((3, n + 30), np.float32)
-        blurred = np.empty((3, n), np.float32)
+        blurred = np.empty((4, n), np.float32)
         for k in range(3):
             _blur_column(slopes[k, row : row + 11], padded[k, 15 : n + 15])
             _blur_row(padded[k], blurred[k])
         xs, ys, scale, to = x[row], y[row], weights[row], out[row]
-        by_mu, by_xx, by_xy = blurred[0], blurred[1], blurred[2]
-        total = 0.0
+        by_mu, by_xx, by_xy, terms = blurred[0], blurred[1], blurred[2], blurred[3]
         for i in range(n):
             difference = xs[i] - ys[i]
-            total += scale[i] * abs(difference)
+            terms[i] = scale[i] * abs(difference)
             sign = np.float32(difference > 0) - np.float32(difference < 0)
             to[i] = l1_factor * scale[i] * sign + ssim_factor * (
                 by_mu[i] + _TWO * xs[i] * by_xx[i] + ys[i] * by_xy[i]
             )
-        sums[row] = total
+        sums[row] = _sum(terms)
+
+
+def _scratch_planes(height: int, n: int) -> tuple[Image, Image]:
+    """Return planes (5, H + 10, n) and (3, H + 10, n), the outer rows zero: those of the last call if they fit.
+
+    Fresh memory of that size costs as much as two of the passes. Each thread has its own.
+    """
+    planes: tuple[Image, Image] | None = getattr(_kept, "planes", None)
+    if planes is None or planes[0].shape != (5, height + 10, n):
+        planes = np.zeros((5, height + 10, n), np.float32), np.zeros((3, height + 10, n), np.float32)
+        _kept.planes = planes
+    return planes
 
 
 def l1_dssim(render: Image, photo: Image, weights: Image, lambda_dssim: float) -> tuple[float, Image]:
@@ -171,8 +201,7 @@ def l1_dssim(render: Image, photo: Image, weights: Image, lambda_dssim: float) -
     x, y = render.reshape(height, n), photo.reshape(height, n)
     spread = np.repeat(weights, 3, axis=1)
     norm = 3.0 * float(weights.sum(dtype=np.float64))
-    planes = np.zeros((5, height + 10, n), np.float32)
-    slopes = np.zeros((3, height + 10, n), np.float32)
+    planes, slopes = _scratch_planes(height, n)
     gradient = np.empty((height, n), np.float32)
     ssim_sums, l1_sums = np.empty(height), np.empty(height)
     with launching():
