@@ -57,7 +57,7 @@ test: $(VENV)/.dev  ## Run the tests.
 	$(BIN)/python -m pytest
 
 bench: $(VENV)/.dev  ## Measure (an hour): rasterizer, sensor poses, real photos where TOOLKIT_DATA names them.
-	$(BIN)/python tests/benchmarks/bench_rasterize.py --gaussians 10000 50000 100000 --repeats 30
+	$(BIN)/python tests/benchmarks/performance.py
 	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
 	$(BIN)/python tests/benchmarks/sensor_poses.py --runs runs/bench-sensors
 

@@ -1,8 +1,8 @@
 """How long drawing and differentiating takes: ``python tests/benchmarks/bench_rasterize.py --gaussians 10000``.
 
 The workload: means uniform in a box that is as wide and high as the view at its far end (so about half of them are
-in the view), 3-sigma radius 3 to 8 pixels, opacity 0.1 to 0.9, L1 to a random picture. Times are in milliseconds and
-include everything from parameters to their gradients.
+in the view), 3-sigma radius 3 to 8 pixels, opacity 0.1 to 0.9, L1 to a random picture. Times are in milliseconds
+and include everything from parameters to their gradients.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def reference_ratio() -> tuple[float, float]:
 
 
 def peak_memory() -> tuple[float, float]:
-    """Return the resident memory in MiB of a process before and at most while drawing 200,000 at 1280x720 (Linux)."""
+    """Return the process's memory in MiB before, and at most while, drawing 200,000 at 1280x720 (Linux)."""
     gaussians, views, target = workload(1000, 64, 48, 3)
     rasterize(gaussians, views).colour.mean().backward()
     gaussians, views, target = workload(200_000, 1280, 720, 3)
@@ -239,8 +239,8 @@ HEAD = """# Performance of the CPU rasterizer
 
 Made by `python tests/benchmarks/performance.py --repeats {repeats}` ({processor}, {threads} threads, numba {numba},
 torch {torch}). Medians over {repeats} repeats, minimum in brackets, in milliseconds. The workload: means uniform in
-a box that is as wide and high as the view at its far end (so about half of them are in the view), 3-sigma radius 3 to
-8 px, opacity 0.1 to 0.9, L1 to a random picture, one view, through the public `rasterize` with autograd.
+a box that is as wide and high as the view at its far end (so about half of them are in the view), 3-sigma radius 3
+to 8 px, opacity 0.1 to 0.9, L1 to a random picture, one view, through the public `rasterize` with autograd.
 
 ![Time of forward and backward by blended pairs](images/performance.png)
 
@@ -250,16 +250,16 @@ a box that is as wide and high as the view at its far end (so about half of them
 MIDDLE = """
 - Cost by pair at 200,000 in 1280x720 is {growth:.2f} of that at 10,000 in 320x240.
 - Frames a second, forward only, 100,000 at 640x480: {frames:.0f}.
-- Memory while 200,000 at 1280x720 with SH 3 are drawn and differentiated: {added:.0f} MiB more than the {before:.0f}
-  MiB that libraries, compiled code and the parameters take.
+- Memory while 200,000 at 1280x720 with SH 3 are drawn and differentiated: {added:.0f} MiB more than the
+  {before:.0f} MiB that libraries, compiled code and the parameters take.
 - The reference twin takes {slow:.0f} ms for 1,000 Gaussians at 160x120 with gradients, the kernels {fast:.2f}:
   {ratio:.0f} times less.
 
 ## The bound
 
 A blended pair costs about {operations} floating-point operations, forward and backward. Eight chains of vector fma
-reach {peak:.0f} GFLOP/s on this machine. So {pairs:.2f} million pairs (100,000 at 640x480) need at least {bound:.1f}
-ms; {both:.1f} ms is {times:.1f} times that.
+reach {peak:.0f} GFLOP/s on this machine. So {pairs:.2f} million pairs (100,000 at 640x480) need at least
+{bound:.1f} ms; {both:.1f} ms is {times:.1f} times that.
 
 ## The parts of a training step (100,000 Gaussians, 640x480)
 
@@ -312,8 +312,8 @@ def report(rows: list[Row], repeats: int) -> str:
     added = [statistics.median(c["loss"]) + statistics.median(c["optimiser"]) for c in columns]
     return page + (
         "\nThe first five are inside forward and backward. Besides forward and backward a step spends "
-        f"{added[0]:.1f} ms with SH 0 and\n{added[1]:.1f} ms with SH 3: the loss with its gradient, and Adam with the "
-        "check for NaN and infinity.\n"
+        f"{added[0]:.1f} ms with SH 0 and\n{added[1]:.1f} ms with SH 3: the loss with its gradient, and Adam with "
+        "the check for NaN and infinity.\n"
     )
 
 
