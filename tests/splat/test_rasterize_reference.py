@@ -235,5 +235,3 @@ def test_what_cannot_be_done_is_refused() -> None:
         rasterize(one_gaussian(), straight_view(), REFERENCE, background=torch.zeros(4))
     with pytest.raises(CapabilityError, match=r"degree of spherical harmonics; expected 0 to 0.*found 2"):
         rasterize(one_gaussian(), straight_view(), RasterSettings(backend="reference", sh_degree=2))
-    with pytest.raises(CapabilityError, match="cannot draw kind '2d'"):
-        rasterize(one_gaussian(), straight_view(), RasterSettings(backend="reference", kind="2d"))

@@ -9,6 +9,9 @@ conventions, which every backend keeps:
 - The perspective Jacobian is evaluated at x/z and y/z clamped to 0.3 half fields of view beyond the image.
 - Gaussians with camera depth below ``near`` are not drawn; the others are blended in order of camera depth.
 - Colours are spherical harmonics of the direction from camera centre to Gaussian, plus 0.5, cut off at zero.
+
+Kind "2d" is that of Huang et al. 2024: disks, met by the pixels' rays. The second and third rule do not apply to
+it; :mod:`toolkit.splat.reference_2d` says what does.
 """
 
 from __future__ import annotations
@@ -17,7 +20,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-import torch
 from torch import Tensor
 
 from toolkit.errors import CapabilityError, DataError, SettingsError
@@ -105,14 +107,25 @@ class RenderOutput:
     alpha:
         (C, H, W) one minus the transmittance that is left.
     expected_depth:
-        (C, H, W) mean camera depth (z) of what was drawn, weighted by its share; 0 where nothing was drawn.
+        (C, H, W) mean camera depth (z) of what was drawn, weighted by its share; 0 where nothing was drawn. A
+        contribution's depth is that of the Gaussian's centre, with kind "2d" that of the ray's intersection.
     median_depth:
         (C, H, W) camera depth of the Gaussian at which the transmittance falls to one half or below, or of the
         last one that was drawn where it never does; 0 where nothing was drawn. No gradient.
     radii:
-        (C, N) int32: half size in pixels of the square that can be touched, 0 for Gaussians that are not drawn.
+        (C, N) int32: half size in pixels of the square around the projected centre that can be touched, 0 for
+        Gaussians that are not drawn.
     means2d:
-        (C, N, 2) projected centres in pixels. Its gradient (``retain_grad``) is what density control reads.
+        (C, N, 2) projected centres in pixels. Its gradient (``retain_grad``) is what density control reads: that
+        by a shift of the Gaussian's whole image, x -> x - shift, with its shape, depths and colour as they are.
+    normals:
+        (C, H, W, 3) sum of the disks' unit normals times their shares, in camera axes, turned towards the camera;
+        not normalised. None for kind "3d".
+    distortion:
+        (C, H, W) sum over pairs i < j of w_i w_j (z_i - z_j)^2, w the shares and z the camera depths of what was
+        drawn, in squared scene units (Huang et al. 2024, equation 13, in the squared form of their supplement:
+        intersections are not ordered along the ray; z itself in place of normalised device coordinates). None
+        for kind "3d".
     """
 
     colour: Tensor
@@ -121,6 +134,8 @@ class RenderOutput:
     median_depth: Tensor
     radii: Tensor
     means2d: Tensor
+    normals: Tensor | None = None
+    distortion: Tensor | None = None
 
 
 Backend = Callable[[Gaussians, Views, RasterSettings, Tensor], RenderOutput]
@@ -168,20 +183,24 @@ def rasterize(
 
 
 def _backend(settings: RasterSettings) -> Backend:
-    if settings.kind != "3d":
-        raise CapabilityError(
-            f"Backend '{settings.backend}' cannot draw kind '{settings.kind}'", expected="kind '3d'"
-        )
     if settings.backend == "reference":
+        if settings.kind == "2d":
+            from toolkit.splat.reference_2d import rasterize_reference_2d
+
+            return rasterize_reference_2d
         from toolkit.splat.reference import rasterize_reference
 
         return rasterize_reference
     if settings.backend == "cpu":
+        if settings.kind == "2d":
+            from toolkit.splat.cpu.autograd_2d import rasterize_cpu_2d
+
+            return rasterize_cpu_2d
         from toolkit.splat.cpu import rasterize_cpu
 
         return rasterize_cpu
-    raise CapabilityError(
-        f"Backend '{settings.backend}' is not there",
-        expected="'reference' or 'cpu'",
-        found=f"CUDA {'available' if torch.cuda.is_available() else 'not available'}",
-    )
+    if settings.backend == "cuda":
+        from toolkit.splat.cuda import rasterize_cuda
+
+        return rasterize_cuda
+    raise CapabilityError(f"Backend '{settings.backend}' is not there", expected="'reference', 'cpu' or 'cuda'")

@@ -35,7 +35,7 @@ def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, 
     CapabilityError
         Where the Gaussians are not float32 or not on the CPU.
     """
-    _check(gaussians, views, background)
+    check_inputs(gaussians, views, background)
     degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
     means2d, splats, factors, radii = _Project.apply(
         gaussians.means,
@@ -53,7 +53,8 @@ def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, 
     return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d)
 
 
-def _check(gaussians: Gaussians, views: Views, background: Tensor) -> None:
+def check_inputs(gaussians: Gaussians, views: Views, background: Tensor) -> None:
+    """Refuse what the kernels cannot take."""
     parameters = dict(gaussians.named())
     others = {"cam_from_world": views.cam_from_world, "intrinsics": views.intrinsics, "background": background}
     for name, tensor in (parameters | others).items():
@@ -73,22 +74,22 @@ def _check(gaussians: Gaussians, views: Views, background: Tensor) -> None:
             )
 
 
-def _array(tensor: Tensor) -> Array:
+def as_array(tensor: Tensor) -> Array:
     """Return the tensor's contiguous memory."""
     array: Array = tensor.detach().contiguous().numpy()
     return array
 
 
-def _flat(
+def flat(
     means: Tensor, quaternions: Tensor, log_scales: Tensor, logits: Tensor, sh: Tensor
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return the parameters as matrices with a row for each Gaussian."""
     return (
-        _array(means),
-        _array(quaternions),
-        _array(log_scales),
-        _array(logits).reshape(-1, 1),
-        _array(sh).reshape(len(sh), 3 * sh.shape[1]),
+        as_array(means),
+        as_array(quaternions),
+        as_array(log_scales),
+        as_array(logits).reshape(-1, 1),
+        as_array(sh).reshape(len(sh), 3 * sh.shape[1]),
     )
 
 
@@ -109,13 +110,23 @@ class _Project(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         count, number = len(means), len(cam_from_world)
         near, degree = near_and_degree
-        parameters = _flat(means, quaternions, log_scales, logits, sh)
-        cameras = camera_rows(_array(cam_from_world), _array(views.intrinsics), views.width, views.height)
+        parameters = flat(means, quaternions, log_scales, logits, sh)
+        cameras = camera_rows(as_array(cam_from_world), as_array(views.intrinsics), views.width, views.height)
         means2d, splats, factors = (means.new_empty(number, count, columns) for columns in (2, 8, 4))
         radii = means.new_empty(number, count, 1, dtype=torch.int32)
         size = (views.width, views.height, float(near), degree)
         with launching():
-            project(cameras, size, parameters, (_array(means2d), _array(splats), _array(factors), _array(radii)))
+            project(
+                cameras,
+                size,
+                parameters,
+                (
+                    as_array(means2d),
+                    as_array(splats),
+                    as_array(factors),
+                    as_array(radii),
+                ),
+            )
         ctx.save_for_backward(means, quaternions, log_scales, logits, sh, splats)
         ctx.radii, ctx.cameras, ctx.degree = radii, cameras, degree
         flat_radii = radii.reshape(number, count)
@@ -130,9 +141,9 @@ class _Project(torch.autograd.Function):
             by_parameters, by_pose = project_backward(
                 ctx.cameras,
                 ctx.degree,
-                _flat(*parameters),
-                (_array(splats), _array(ctx.radii)),
-                (_array(gradients[0]), _array(gradients[1])),
+                flat(*parameters),
+                (as_array(splats), as_array(ctx.radii)),
+                (as_array(gradients[0]), as_array(gradients[1])),
             )
         shaped = [
             torch.from_numpy(array).reshape(tensor.shape)
@@ -161,15 +172,15 @@ class _Blend(torch.autograd.Function):
         lists: list[TileLists] = []
         used: list[Array] = []
         centres, rows, triangles, sizes = (
-            _array(tensor) for tensor in (means2d, splats, factors, radii[..., None])
+            as_array(tensor) for tensor in (means2d, splats, factors, radii[..., None])
         )
-        images = tuple(_array(tensor) for tensor in (colour, alpha, depth, median))
+        images = tuple(as_array(tensor) for tensor in (colour, alpha, depth, median))
         with launching():
             for c in range(number):
                 view = build_tile_lists(centres[c], rows[c], triangles[c], sizes[c], width, height)
                 lists.append(view)
                 used.append(
-                    blend(view, _array(background), (images[0][c], images[1][c], images[2][c], images[3][c]))
+                    blend(view, as_array(background), (images[0][c], images[1][c], images[2][c], images[3][c]))
                 )
         ctx.save_for_backward(colour, alpha, depth)
         ctx.lists, ctx.used, ctx.shape = lists, used, means2d.shape[:2]
@@ -182,9 +193,9 @@ class _Blend(torch.autograd.Function):
         colour, alpha, depth = ctx.saved_tensors
         by_means2d, by_splats = colour.new_zeros(*ctx.shape, 2), colour.new_zeros(*ctx.shape, 8)
         by_background = np.zeros(3)
-        images = [_array(tensor) for tensor in (colour, alpha, depth)]
-        by_images = [_array(tensor) for tensor in gradients[:3]]
-        arrays = [_array(tensor) for tensor in (by_means2d, by_splats)]
+        images = [as_array(tensor) for tensor in (colour, alpha, depth)]
+        by_images = [as_array(tensor) for tensor in gradients[:3]]
+        arrays = [as_array(tensor) for tensor in (by_means2d, by_splats)]
         with launching():
             for c, (lists, used) in enumerate(zip(ctx.lists, ctx.used, strict=True)):
                 by_background += blend_backward(

@@ -155,7 +155,7 @@ def unit_direction(camera: Array, x: F8, y: F8, z: F8) -> tuple[F8, F8, F8, F8]:
 
 
 @kernel
-def _colours(degree: int, basis: Array, sh: Array, i: int, last: int) -> tuple[F8, F8, F8]:
+def shade(degree: int, basis: Array, sh: Array, i: int, last: int) -> tuple[F8, F8, F8]:
     """Return red, green, blue: coefficients (N, 3 K) times basis functions, plus a half, cut off at zero."""
     red, green, blue = splat(0.5), splat(0.5), splat(0.5)
     for k in range((degree + 1) * (degree + 1)):
@@ -252,7 +252,7 @@ def _project_eight(
     scatter(factors, i, 3, last, log_opacity)
     direction_x, direction_y, direction_z, _ = unit_direction(camera, world_x, world_y, world_z)
     fill_basis(degree, direction_x, direction_y, direction_z, basis)
-    red, green, blue = _colours(degree, basis, sh, i, last)
+    red, green, blue = shade(degree, basis, sh, i, last)
     values = (xx, xy, yy, opacity, z, red, green, blue)
     for k in range(8):
         scatter(splats, i, k, last, select(drawn, values[k], zero))

@@ -82,7 +82,7 @@ def _axes_gradient(plane: tuple[F8, ...], d: tuple[F8, ...]) -> tuple[F8, ...]:
 
 
 @kernel
-def _quaternion_gradient(w: F8, x: F8, y: F8, z: F8, inverse: F8, d: tuple[F8, ...]) -> tuple[F8, F8, F8, F8]:
+def quaternion_gradient(w: F8, x: F8, y: F8, z: F8, inverse: F8, d: tuple[F8, ...]) -> tuple[F8, F8, F8, F8]:
     """Return the gradient by the quaternion before it was normalised, from dL/dR row by row."""
     dw = 2.0 * (x * (d[7] - d[5]) + y * (d[2] - d[6]) + z * (d[3] - d[1]))
     dx = 2.0 * (w * (d[7] - d[5]) + y * (d[3] + d[1]) + z * (d[6] + d[2]) - 2.0 * x * (d[4] + d[8]))
@@ -98,7 +98,7 @@ def _quaternion_gradient(w: F8, x: F8, y: F8, z: F8, inverse: F8, d: tuple[F8, .
 
 
 @kernel
-def _accumulate(sums: Array, k: int, value: F8) -> None:
+def add_to(sums: Array, k: int, value: F8) -> None:
     """Add to the k-th vector of ``sums``."""
     store(sums, k * LANES, load(sums, k * LANES) + value)
 
@@ -187,10 +187,10 @@ def _geometry_backward(
     slope = slope_x, slope_y
     for j in range(3):
         d_row_x, d_row_y = select(mine, scale_x * d[j], zero), select(mine, scale_y * d[3 + j], zero)
-        _accumulate(camera_sums, j, d_row_x + by_point[0] * world[j])
-        _accumulate(camera_sums, 3 + j, d_row_y + by_point[1] * world[j])
-        _accumulate(camera_sums, 6 + j, by_point[2] * world[j] - slope[0] * d_row_x - slope[1] * d_row_y)
-        _accumulate(camera_sums, 9 + j, by_point[j])
+        add_to(camera_sums, j, d_row_x + by_point[0] * world[j])
+        add_to(camera_sums, 3 + j, d_row_y + by_point[1] * world[j])
+        add_to(camera_sums, 6 + j, by_point[2] * world[j] - slope[0] * d_row_x - slope[1] * d_row_y)
+        add_to(camera_sums, 9 + j, by_point[j])
     return d_axes + (  # noqa: RUF005 (numba knows no unpacking here)
         camera[0] * dx + camera[3] * dy + camera[6] * dz,
         camera[1] * dx + camera[4] * dy + camera[7] * dz,
@@ -199,7 +199,7 @@ def _geometry_backward(
 
 
 @kernel
-def _shade_backward(
+def shade_backward(
     i: int,
     camera: Array,
     degree: int,
@@ -229,7 +229,7 @@ def _shade_backward(
     by_mean = (gx - x * along) * inverse, (gy - y * along) * inverse, (gz - z * along) * inverse
     mine = drawn & (lanes() < len(means) - i)
     for j in range(3):
-        _accumulate(camera_sums, 12 + j, select(mine, zero - by_mean[j], zero))
+        add_to(camera_sums, 12 + j, select(mine, zero - by_mean[j], zero))
     return by_mean
 
 
@@ -262,7 +262,7 @@ def _project_eight_backward(
             continue
         by_splat = by_projected[1][c]
         d = _geometry_backward(i, cameras[c], means, axes, drawn, by_projected[0][c], by_splat, camera_sums[c])
-        e = _shade_backward(
+        e = shade_backward(
             i,
             cameras[c],
             degree,
@@ -295,7 +295,7 @@ def _project_eight_backward(
     scatter(by_log_scales, i, 1, last, d1 * axes[1] + d4 * axes[4] + d7 * axes[7])
     scatter(by_log_scales, i, 2, last, d2 * axes[2] + d5 * axes[5] + d8 * axes[8])
     turned = (d0 * s0, d1 * s1, d2 * s2, d3 * s0, d4 * s1, d5 * s2, d6 * s0, d7 * s1, d8 * s2)
-    by_w, by_x, by_y, by_z = _quaternion_gradient(w, x, y, z, inverse, turned)
+    by_w, by_x, by_y, by_z = quaternion_gradient(w, x, y, z, inverse, turned)
     scatter(by_quaternions, i, 0, last, by_w)
     scatter(by_quaternions, i, 1, last, by_x)
     scatter(by_quaternions, i, 2, last, by_y)

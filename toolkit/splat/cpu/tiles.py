@@ -91,7 +91,7 @@ def build_tile_lists(
     cursors = np.zeros((runs, rows * columns), dtype=np.int32)
     _count(order, means2d, splats, factors, records, first_slots, cursors, width, columns, rows)
     starts = np.zeros(rows * columns + 1, dtype=np.int64)
-    _accumulate(cursors, starts, first_slots)
+    accumulate_counts(cursors, starts, first_slots)
     entries = np.empty((starts[-1], 2), dtype=np.int32)
     _fill(records, first_slots, cursors, entries, width, columns, rows)
     return TileLists(order, records, starts, entries, first_slots, columns, rows)
@@ -206,7 +206,7 @@ def _count(
 
 
 @kernel
-def _accumulate(cursors: Array, starts: Array, first_slots: Array) -> None:
+def accumulate_counts(cursors: Array, starts: Array, first_slots: Array) -> None:
     """Turn counts into positions: where each run writes into each tile's list, and each rank's first slot."""
     runs, tiles = cursors.shape
     position = 0
