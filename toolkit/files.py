@@ -91,6 +91,25 @@ def atomic_path(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+@contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Yield a name beside ``path`` for a folder that becomes ``path`` when the block ends well, and else goes.
+
+    Raises
+    ------
+    RunError
+        When the disk is full or may not be written, or something is in the way.
+    """
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")
+    try:
+        with disk_errors(path, "writing"):
+            yield temporary
+            temporary.rename(path)
+    finally:
+        if temporary.exists():
+            shutil.rmtree(temporary)
+
+
 def write_text(path: Path, text: str) -> None:
     """Replace the content of ``path`` by ``text`` (UTF-8) in one step."""
     with atomic_path(path) as temporary:

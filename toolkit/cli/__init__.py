@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 import toolkit
-from toolkit.cli import data, pages, runs
+from toolkit.cli import data, pages, render, runs
 from toolkit.cli.common import Command
 from toolkit.errors import Cancelled, ToolkitError
 
@@ -50,5 +50,6 @@ def build_parser(*, with_sample_flags: bool = True) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     pages.add_commands(commands)
     runs.add_commands(commands)
+    render.add_commands(commands)
     data.add_commands(commands, with_sample_flags=with_sample_flags)
     return parser

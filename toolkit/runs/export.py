@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -14,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from toolkit.errors import RunError
-from toolkit.files import atomic_path, disk_errors
+from toolkit.files import atomic_folder, atomic_path, disk_errors
 from toolkit.progress import Progress, silent
 from toolkit.runs.folder import RunFolder
 
@@ -150,7 +147,7 @@ def _copy_scene(run: RunFolder, to: Path, format: ExportFormat, progress: Progre
     from toolkit.scene.folder import SCENE_FILE, write_scene
 
     scene = _scene_of(run)
-    with _new_folder(to) as temporary:
+    with atomic_folder(to) as temporary:
         write_scene(scene, temporary, copy_images=True, progress=progress)
         if format == "colmap":
             (temporary / SCENE_FILE).unlink()
@@ -164,22 +161,9 @@ def _copy_transforms(run: RunFolder, to: Path, progress: Progress) -> None:
     # Tracks count all frames, and have no place in the file.
     points = None if full.points is None else dataclasses.replace(full.points, tracks=None)
     scene = full.replace(frames=full.registered, points=points)
-    with _new_folder(to) as temporary:
+    with atomic_folder(to) as temporary:
         # Masks lie below masks/ as the pictures lie below the folder: that is how they are found again.
         copy_pictures(scene, temporary / "images", temporary / "masks" / "images", progress=progress)
         frames = tuple(dataclasses.replace(frame, name=f"images/{frame.name}") for frame in scene.frames)
         moved = scene.replace(image_dir=temporary, mask_dir=temporary / "masks", frames=frames)
         write_transforms(moved, temporary / TRANSFORMS_FILE)
-
-
-@contextmanager
-def _new_folder(to: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside ``to`` that becomes ``to`` when the block ends well, and else goes."""
-    temporary = to.with_name(f".{to.name}.{uuid.uuid4().hex[:8]}.tmp")
-    try:
-        with disk_errors(to, "writing"):
-            yield temporary
-            temporary.rename(to)
-    finally:
-        if temporary.exists():
-            shutil.rmtree(temporary)

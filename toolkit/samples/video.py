@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -10,21 +11,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DataError, SettingsError
-from toolkit.files import atomic_path, write_text
+from toolkit.errors import DataError
+from toolkit.files import write_text
 from toolkit.geometry.attitude import attitude_of
 from toolkit.geometry.cameras import Camera
 from toolkit.geometry.geodesy import geodetic_from_enu
-from toolkit.optional import require
 from toolkit.progress import Progress, silent, track
 from toolkit.samples.sensors import START_TIME
 from toolkit.scene import Frame, Georeference, Scene
 from toolkit.scene.pictures import load_picture
+from toolkit.scene.video import encode_video, frame_rate
 
-_FASTEST = 1000.0
-_LARGEST_CLOCK = 60_000  # MPEG-4 counts at most 65,535 ticks a second
-# Of x264: hardly told from the original. MPEG-4 has no such scale; this is its quantiser, of 1 to 31.
-_CODECS = {"libx264": {"crf": "18"}, "mpeg4": {"qmin": "2", "qmax": "4"}}
 # A virtual camera has no exposure; readers of the format expect one.
 _EXPOSURE = "[iso: 100] [shutter: 1/1000.0] [fnum: 2.8]"
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)
@@ -58,22 +55,10 @@ def write_video(scene: Scene, path: Path, *, frames_per_second: float = 10, prog
     RunError
         Where the disk is full or may not be written.
     """
-    av = require("av")
-    rate = _rate(frames_per_second)
     if not scene.frames:
         raise DataError("A scene without frames makes no video", expected="at least one frame")
-    codec = next(name for name in _CODECS if name in av.codecs_available)
-    first = load_picture(scene.image_path(scene.frames[0]))
-    height, width = first.shape[:2]
-    with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
-        stream = container.add_stream(codec, rate=rate, options=_CODECS[codec])
-        stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
-        for number, frame in enumerate(track(scene.frames, "sample.video", progress)):
-            picture = _even(_picture(scene, frame, width, height))
-            image = av.VideoFrame.from_ndarray(picture, format="rgb24")
-            image.pts, image.time_base = number, 1 / rate
-            container.mux(stream.encode(image))
-        container.mux(stream.encode(None))
+    frames = track(scene.frames, "sample.video", progress)
+    encode_video(_pictures(scene, frames), path, frames_per_second)
 
 
 def write_srt(scene: Scene, path: Path, *, frames_per_second: float = 10, start: float = START_TIME) -> None:
@@ -103,7 +88,7 @@ def write_srt(scene: Scene, path: Path, *, frames_per_second: float = 10, start:
     RunError
         Where the disk is full or may not be written.
     """
-    rate = _rate(frames_per_second)
+    rate = frame_rate(frames_per_second)
     if scene.georeference is None:
         raise DataError(
             "A scene without georeference has no telemetry",
@@ -125,40 +110,21 @@ def write_srt(scene: Scene, path: Path, *, frames_per_second: float = 10, start:
     write_text(path, "\n".join(blocks))
 
 
-def _rate(frames_per_second: float) -> Fraction:
-    if not 0 < frames_per_second <= _FASTEST:  # false for NaN too
-        raise SettingsError(
-            "Frames per second are out of range",
-            expected=f"more than 0, at most {_FASTEST:g}",
-            found=str(frames_per_second),
-        )
-    largest = max(1.0, min(_LARGEST_CLOCK, _LARGEST_CLOCK / frames_per_second))
-    rate = Fraction(frames_per_second).limit_denominator(int(largest))
-    if not rate:
-        raise SettingsError(
-            "Frames per second are out of range",
-            expected=f"at least 1/{_LARGEST_CLOCK}",
-            found=str(frames_per_second),
-        )
-    return rate
-
-
-def _picture(scene: Scene, frame: Frame, width: int, height: int) -> NDArray[np.uint8]:
-    picture = load_picture(scene.image_path(frame))
-    if picture.shape[:2] != (height, width):
-        raise DataError(
-            f"Frame '{frame.name}' has another size than the first",
-            expected=f"{width} x {height} px",
-            found=f"{picture.shape[1]} x {picture.shape[0]} px",
-            todo="Make a video for each size",
-        )
-    return picture
-
-
-def _even(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the picture with even sides, its last row and column repeated where needed."""
-    height, width = picture.shape[:2]
-    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+def _pictures(scene: Scene, frames: Iterable[Frame]) -> Iterator[NDArray[np.uint8]]:
+    """Yield the frames' pictures; all must have the size of the first."""
+    size: tuple[int, int] | None = None
+    for frame in frames:
+        picture = load_picture(scene.image_path(frame))
+        height, width = picture.shape[:2]
+        size = size or (width, height)
+        if (width, height) != size:
+            raise DataError(
+                f"Frame '{frame.name}' has another size than the first",
+                expected=f"{size[0]} x {size[1]} px",
+                found=f"{width} x {height} px",
+                todo="Make a video for each size",
+            )
+        yield picture
 
 
 def _clock(seconds: Fraction) -> str:
