@@ -13,7 +13,8 @@ from toolkit.errors import DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.scene import Frame, Scene
-from toolkit.splat.images import area_average, load_photo, load_photos
+from toolkit.scene.pictures import area_resize
+from toolkit.splat.images import Pyramid, load_photo, load_photos
 
 POSE = RigidTransform(np.eye(3), np.array([0.1, 0.2, 0.3]))
 
@@ -69,7 +70,7 @@ def test_averaging_by_any_factor_is_the_integral_over_each_pixel(width: int, hei
     parts = image.repeat(height, axis=0).repeat(width, axis=1).astype(float)
     expected = parts.reshape(height, 12, width, 24, 3).mean(axis=(1, 3))
     # Half a grey value of rounding, and float32 sums.
-    assert np.abs(area_average(image, width, height) - expected).max() < 0.501
+    assert np.abs(area_resize(image, width, height) - expected).max() < 0.501
 
 
 def test_masks_become_weights(tmp_path: Path) -> None:
@@ -154,3 +155,35 @@ def test_sixteen_bits_are_refused(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, noise(8, 8))
     Image.fromarray(np.zeros((8, 8), np.uint16)).save(scene.image_path(scene.frames[0]))
     refused(scene, r"expected 8 bits a colour; found I;16")
+
+
+def test_a_shrunk_photo_is_the_mean_of_blocks_with_the_camera_that_fits(tmp_path: Path) -> None:
+    pixels = noise(24, 40)
+    photo = load_photo(scene := make_scene(tmp_path, pixels), scene.frames[0], 800)
+    half = photo.shrunk(2)
+    blocks = pixels.reshape(12, 2, 20, 2, 3).astype(float).mean(axis=(1, 3))
+    assert np.abs(half.pixels.numpy() - blocks).max() <= 0.5
+    assert half.camera == ColmapCamera.pinhole(20, 12, 25.0, (10.5, 6.5))
+    assert (half.views.width, half.views.height) == (20, 12)
+    torch.testing.assert_close(half.views.intrinsics[0], torch.tensor(half.camera.intrinsics, dtype=torch.float32))
+    assert half.views.cam_from_world is photo.views.cam_from_world
+    assert photo.shrunk(1) is photo
+    assert photo.shrunk(100).pixels.shape == (1, 1, 3)
+
+
+def test_a_shrunk_mask_never_loses_all_weight(tmp_path: Path) -> None:
+    mask = np.zeros((24, 40), np.uint8)
+    mask[5, 7] = 255
+    photo = load_photo(scene := make_scene(tmp_path, noise(24, 40), mask=mask), scene.frames[0], 20)
+    weights = photo.shrunk(4).shrunk(4).weights()
+    assert weights is not None
+    assert (weights > 0).sum() == 1
+
+
+def test_a_pyramid_makes_each_size_once(tmp_path: Path) -> None:
+    photo = load_photo(scene := make_scene(tmp_path, noise(24, 40)), scene.frames[0], 800)
+    pyramid = Pyramid([photo])
+    assert pyramid.photo(0, 1) is photo
+    assert pyramid.photo(0, 4).pixels.shape == (6, 10, 3)
+    assert pyramid.photo(0, 4) is pyramid.photo(0, 4)
+    assert pyramid.photo(0, 2).pixels.shape == (12, 20, 3)

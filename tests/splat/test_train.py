@@ -2,45 +2,27 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 from tiny_scene import make_scene
+from tiny_training import same, settings, stop_after
 
-from toolkit.errors import Cancelled, CapabilityError, DataError, NumericalError, RunError, StageError
+from toolkit.errors import Cancelled, RunError
 from toolkit.metrics.image import psnr
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Points, Scene
 from toolkit.splat.evaluate import render_test_views
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.train import TrainResult, train_splats
-from toolkit.splat.train_settings import TrainSettings
-
-BACKEND = "cpu"
-
-
-def settings(**changes) -> TrainSettings:
-    return TrainSettings(
-        **{
-            "steps": 60,
-            "backend": BACKEND,
-            "background": "black",
-            "grad_threshold": 5e-4,
-            "eval_every": 20,
-            **changes,
-        }
-    )
 
 
 @pytest.fixture(scope="module")
@@ -57,18 +39,6 @@ def psnr_of_test_views(gaussians: Gaussians, scene: Scene) -> float:
     values = [psnr(view.render, view.photo) for view in render_test_views(gaussians, scene, settings())]
     assert len(values) == 3
     return float(np.mean(values))
-
-
-def stop_after(step: int) -> Callable[[ProgressEvent], None]:
-    def listen(event: ProgressEvent) -> None:
-        if event.stage == "splat.train" and event.done == step:
-            raise Cancelled("enough")
-
-    return listen
-
-
-def same(one: Gaussians, other: Gaussians) -> bool:
-    return all(torch.equal(a, b) for (_, a), (_, b) in zip(one.named(), other.named(), strict=True))
 
 
 def test_training_makes_unseen_views_better(scene: Scene, trained: TrainResult) -> None:
@@ -143,6 +113,41 @@ def test_a_resumed_run_equals_the_uninterrupted_one_to_the_bit(
     assert same(finished.gaussians, trained.gaussians)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"coarse_to_fine": True, "coarse_quarter": 0.2, "coarse_half": 0.6},
+        {"density": "mcmc", "mcmc_growth": 0.2, "background": "random"},
+        {"density": "mcmc", "exposure": True, "coarse_to_fine": True},
+    ],
+    ids=["coarse to fine", "mcmc", "all"],
+)
+def test_other_ways_of_training_learn_and_resume_to_the_bit(
+    scene: Scene, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    chosen = settings(steps=40, **changes)
+    straight = train_splats(scene, chosen, seed=0)
+    for stop in (7, 17, 31):
+        with pytest.raises(Cancelled):
+            train_splats(scene, chosen, seed=0, progress=stop_after(stop), checkpoint_dir=tmp_path)
+    resumed = train_splats(scene, chosen, seed=0, checkpoint_dir=tmp_path)
+    assert resumed.resumed_at == 31
+    assert same(resumed.gaussians, straight.gaussians)
+    assert resumed.history == straight.history
+    assert resumed.changes == straight.changes
+    assert resumed.exposures == straight.exposures
+    assert len(straight.gaussians) > 50
+    start = train_splats(scene, settings(steps=1, lr_means=0.0, lr_sh0=0.0, lr_opacity=0.0), seed=0)
+    assert psnr_of_test_views(straight.gaussians, scene) > psnr_of_test_views(start.gaussians, scene) + 1
+
+
+def test_mcmc_never_exceeds_the_cap_and_says_what_it_added(scene: Scene) -> None:
+    result = train_splats(scene, settings(density="mcmc", mcmc_growth=0.3, max_gaussians=80), seed=0)
+    assert len(result.gaussians) == 80
+    assert result.changes.cloned == 30
+    assert (result.changes.split, result.changes.pruned) == (0, 0)
+
+
 def test_a_damaged_checkpoint_is_told_and_the_one_before_used(scene: Scene, tmp_path: Path) -> None:
     few = settings(steps=12, checkpoint_every=4)
     straight = train_splats(scene, few, seed=0, checkpoint_dir=tmp_path)
@@ -176,6 +181,7 @@ import time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from tiny_scene import make_scene
+from tiny_training import same, settings, stop_after
 from toolkit.splat.train import train_splats
 from toolkit.splat.train_settings import TrainSettings
 folder = Path({folder!r})
@@ -207,28 +213,6 @@ def test_a_killed_run_resumes_to_the_same_result(scene: Scene, trained: TrainRes
     resumed = train_splats(scene, chosen, seed=0, checkpoint_dir=tmp_path / "checkpoint")
     assert resumed.resumed_at == 20
     assert same(resumed.gaussians, trained.gaussians)
-
-
-def test_nan_in_training_is_named_and_the_last_checkpoint_stays(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from toolkit.splat import train
-
-    whole = train.photometric_loss
-    calls = 0
-
-    def broken(render: torch.Tensor, photo: torch.Tensor, **options) -> torch.Tensor:
-        nonlocal calls
-        calls += 1
-        return whole(render, photo, **options) * (float("nan") if calls == 7 else 1.0)
-
-    monkeypatch.setattr(train, "photometric_loss", broken)
-    with pytest.raises(NumericalError, match=r"loss that is not finite at step 7, photo '\d\d\.png'"):
-        train_splats(scene, settings(checkpoint_every=3), seed=0, checkpoint_dir=tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "step-00000003.safetensors",
-        "step-00000006.safetensors",
-    ]
 
 
 def test_what_lies_under_a_mask_is_not_learned(scene: Scene, tmp_path: Path) -> None:
@@ -265,41 +249,6 @@ def test_a_render_that_equals_the_photo_can_be_written_down(scene: Scene, tmp_pa
     chosen = settings(steps=1, initial_opacity=0.001, lr_opacity=0.0, densify_stop=0.0)
     result = train_splats(scene.replace(image_dir=black), chosen, seed=0, checkpoint_dir=tmp_path / "checkpoint")
     assert result.history[-1].psnr_test == 100
-
-
-def test_without_training_frames_or_points_it_says_what_to_do(scene: Scene) -> None:
-    with pytest.raises(StageError, match=r"nothing to train on.*Find poses first"):
-        train_splats(scene.without_poses(), settings(), seed=0)
-    all_test = tuple(dataclasses.replace(frame, split="test") for frame in scene.frames)
-    with pytest.raises(StageError, match=r"0 in the split 'train'"):
-        train_splats(scene.replace(frames=all_test), settings(), seed=0)
-    with pytest.raises(StageError, match=r"Not enough points.*Triangulate points first"):
-        train_splats(scene.replace(points=None), settings(), seed=0)
-
-
-def test_what_is_left_out_is_noted(scene: Scene) -> None:
-    frames = (*scene.frames[:-2], dataclasses.replace(scene.frames[-2], cam_from_world=None), scene.frames[-1])
-    result = train_splats(scene.replace(frames=frames), settings(steps=1, max_gaussians=20), seed=0)
-    assert result.train_photos == 5
-    assert result.initial_gaussians == 20
-    assert result.notes == (
-        "1 of 6 training frames have no pose and are left out.",
-        "20 of 50 points are used, by chance: max_gaussians.",
-    )
-
-
-def test_a_damaged_photo_stops_the_run_before_it_starts(scene: Scene, tmp_path: Path) -> None:
-    for frame in scene.frames:
-        (tmp_path / frame.name).write_bytes(scene.image_path(frame).read_bytes())
-    (tmp_path / "03.png").write_bytes((tmp_path / "03.png").read_bytes()[:100])
-    with pytest.raises(DataError, match=r"Cannot read picture .*03\.png"):
-        train_splats(scene.replace(image_dir=tmp_path), settings(), seed=0)
-
-
-@pytest.mark.parametrize(("backend", "device"), [("cpu", "cuda"), ("reference", "cuda:0"), ("cuda", "cpu")])
-def test_backend_and_device_must_fit(scene: Scene, backend: str, device: str) -> None:
-    with pytest.raises(CapabilityError, match=rf"Backend '{backend}' does not work on device '{device}'"):
-        train_splats(scene, settings(backend=backend), seed=0, device=device)
 
 
 def test_test_views_come_with_photo_render_and_depth(scene: Scene, trained: TrainResult) -> None:

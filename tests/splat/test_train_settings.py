@@ -41,6 +41,16 @@ def test_short_runs_add_fewer_gaussians() -> None:
     assert thresholds == pytest.approx([2e-3, 1e-3, 1e-3])
 
 
+def test_photos_grow_from_a_quarter_to_their_full_size_where_that_is_wanted() -> None:
+    coarse = TrainSettings(steps=100, coarse_to_fine=True, coarse_quarter=0.25, coarse_half=0.5)
+    schedule = Schedule.of(coarse)
+    assert [schedule.shrink_at(step) for step in (1, 25, 26, 50, 51, 100)] == [4, 4, 2, 2, 1, 1]
+    plain = Schedule.of(coarse.replace({"coarse_to_fine": False}))
+    assert {plain.shrink_at(step) for step in range(1, 101)} == {1}
+    halved = Schedule.of(coarse.replace({"coarse_quarter": 0.0}))
+    assert [halved.shrink_at(step) for step in (1, 50, 51)] == [2, 2, 1]
+
+
 @pytest.mark.parametrize("steps", [1, 2, 5])
 def test_the_shortest_runs_have_a_schedule(steps: int) -> None:
     schedule = Schedule.of(TrainSettings(steps=steps))

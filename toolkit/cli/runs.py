@@ -46,7 +46,11 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     added.add_argument("recipe", metavar="RECIPE", help="name of the method (toolkit recipes lists them)")
     added.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="the capture")
     added.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting")
-    added.add_argument("--settings", type=Path, metavar="FILE", help="settings as JSON; --set comes after")
+    base = added.add_mutually_exclusive_group()
+    base.add_argument("--settings", type=Path, metavar="FILE", help="settings as JSON; --set comes after")
+    base.add_argument(
+        "--preset", metavar="NAME", help="draft, standard or paper (toolkit recipes RECIPE); --set comes after"
+    )
     added.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
     added.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to compute [cpu]")
     added.add_argument("--name", default="", metavar="TEXT", help="what to call the run")
@@ -54,6 +58,7 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
+    from toolkit.recipes.presets import with_preset
     from toolkit.recipes.registry import find_recipe
     from toolkit.runs.launch import create_run, execute
 
@@ -61,6 +66,8 @@ def _run(arguments: argparse.Namespace) -> None:
     settings = recipe.settings_type()
     if arguments.settings is not None:
         settings = recipe.settings_type.from_json(_text_of(arguments.settings))
+    elif arguments.preset is not None:
+        settings = with_preset(settings, arguments.preset)
     changed = settings.replace_from_text(arguments.set)
     run = with_bar(
         lambda bar: create_run(

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from toolkit.recipes.base import Recipe, StageTime
+from toolkit.recipes.presets import recipe_presets
 from toolkit.runs.compare import ComparedRun, Comparison, TextRow
 from toolkit.runs.index import RunSummary
 from toolkit.runs.measures import better, format_number, format_seconds
@@ -127,11 +128,14 @@ def recipes_text(recipes: Iterable[Recipe]) -> str:
 
 
 def recipe_text(recipe: Recipe) -> str:
-    """Return what a recipe does and the table of its settings."""
+    """Return what a recipe does, the table of its settings, and its presets."""
     rows = [("setting", "default", "allowed", "unit", "")]
     rows += [(row.name, str(row.default), row.allowed, row.unit, row.doc) for row in recipe.settings_type.table()]
-    described = textwrap.fill(recipe.description, 100)
-    return f"{recipe.name}: {recipe.title}\n\n{described}\n\n{table(rows)}"
+    parts = [f"{recipe.name}: {recipe.title}", textwrap.fill(recipe.description, 100), table(rows)]
+    presets = recipe_presets(recipe)
+    if presets:
+        parts.append(table([("preset", ""), *((name, preset.doc) for name, preset in presets.items())]))
+    return "\n\n".join(parts)
 
 
 def result_text(comparison: Comparison) -> str:

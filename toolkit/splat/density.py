@@ -22,14 +22,20 @@ RESET_FACTOR = 2.0
 
 @dataclass(frozen=True, slots=True)
 class DensityChange:
-    """What one round did: how many Gaussians were cloned, split in two, and removed."""
+    """What one round did: how many Gaussians were cloned, split in two, removed, and moved onto others."""
 
     cloned: int = 0
     split: int = 0
     pruned: int = 0
+    relocated: int = 0
 
     def __add__(self, other: DensityChange) -> DensityChange:
-        return DensityChange(self.cloned + other.cloned, self.split + other.split, self.pruned + other.pruned)
+        return DensityChange(
+            self.cloned + other.cloned,
+            self.split + other.split,
+            self.pruned + other.pruned,
+            self.relocated + other.relocated,
+        )
 
 
 class DensityControl:
@@ -85,6 +91,13 @@ class DensityControl:
         lengths = (means2d_gradient * half).norm(dim=-1)
         self.gradient_sum += torch.where(drawn, lengths, torch.zeros_like(lengths)).sum(dim=0)
         self.count += drawn.sum(dim=0)
+
+    def cost(self, gaussians: Gaussians) -> Tensor | None:
+        """Return what is added to the loss: nothing."""
+        return None
+
+    def after_step(self, optimiser: GaussianOptimiser, generator: torch.Generator, step: int) -> None:
+        """Do nothing: between rounds Gaussians are left to the optimiser."""
 
     def refine(
         self, optimiser: GaussianOptimiser, generator: torch.Generator, *, prune_large: bool

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.sparse import csr_array
 from torch import Tensor
 
 from toolkit.errors import DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Frame, Scene
+from toolkit.scene.pictures import area_resize
 from toolkit.splat.rasterize import Views
 
 # Pictures with these pixels are 8 bits a colour; palettes, grey and transparency become plain RGB.
@@ -55,6 +55,42 @@ class Photo:
         """Return how much each pixel counts (H, W) float32, or None where all count the same."""
         return None if self.mask is None else self.mask.to(device=device, dtype=torch.float32) / 255
 
+    def shrunk(self, factor: int) -> Photo:
+        """Return the photo with sides divided by ``factor``, averaged by area, with the camera that fits."""
+        if factor == 1:
+            return self
+        width, height = (max(1, round(side / factor)) for side in (self.camera.width, self.camera.height))
+        camera, mask = self.camera.scaled(width, height), self.mask
+        if mask is not None:
+            # Rounded up: what counts a little must not vanish, or a photo might be left without any weight.
+            shares = area_resize(mask.numpy().astype(np.float32), width, height)
+            mask = torch.from_numpy(np.ceil(shares).clip(0, 255).astype(np.uint8))
+        pose = self.views.cam_from_world
+        intrinsics = torch.tensor(camera.intrinsics, dtype=torch.float32, device=pose.device)[None]
+        return Photo(
+            name=self.name,
+            pixels=torch.from_numpy(area_resize(self.pixels.numpy(), width, height)),
+            mask=mask,
+            camera=camera,
+            views=Views(pose, intrinsics, width, height),
+        )
+
+
+class Pyramid:
+    """Photos at several sizes, each made when it is first asked for."""
+
+    def __init__(self, photos: Sequence[Photo]) -> None:
+        self._photos = photos
+        self._smaller: dict[tuple[int, int], Photo] = {}
+
+    def photo(self, index: int, shrink: int) -> Photo:
+        """Return photo ``index`` with sides divided by ``shrink``."""
+        if shrink == 1:
+            return self._photos[index]
+        if (index, shrink) not in self._smaller:
+            self._smaller[index, shrink] = self._photos[index].shrunk(shrink)
+        return self._smaller[index, shrink]
+
 
 def load_photos(
     scene: Scene, frames: Iterable[Frame], max_side: int, *, device: str = "cpu", progress: Progress = silent
@@ -89,12 +125,12 @@ def load_photo(scene: Scene, frame: Frame, max_side: int, *, device: str = "cpu"
     path = scene.image_path(frame)
     pixels = _read(path, camera, "RGB")
     mask_path = scene.mask_path(frame)
-    mask = None if mask_path is None else np.where(_read(mask_path, camera, "L") > 0, 255, 0)
+    mask = None if mask_path is None else np.where(_read(mask_path, camera, "L") > 0, np.uint8(255), np.uint8(0))
 
     scale = min(1.0, max_side / max(camera.width, camera.height))
     width, height = (max(1, round(scale * side)) for side in (camera.width, camera.height))
     small_camera = camera.scaled(width, height) if scale < 1 else camera
-    small_mask = None if mask is None else torch.from_numpy(area_average(mask, width, height))
+    small_mask = None if mask is None else torch.from_numpy(area_resize(mask, width, height))
     if small_mask is not None and not small_mask.any():
         raise DataError(
             f"Mask {mask_path} leaves nothing of the picture",
@@ -103,7 +139,7 @@ def load_photo(scene: Scene, frame: Frame, max_side: int, *, device: str = "cpu"
         )
     return Photo(
         name=frame.name,
-        pixels=torch.from_numpy(area_average(pixels, width, height)),
+        pixels=torch.from_numpy(area_resize(pixels, width, height)),
         mask=small_mask,
         camera=small_camera,
         views=Views(
@@ -140,28 +176,3 @@ def _read(path: Path, camera: ColmapCamera, mode: str) -> NDArray[np.uint8]:
         raise DataError(
             f"Cannot read picture {path}", expected="a whole JPEG or PNG file", found=str(error)
         ) from error
-
-
-def area_average(image: NDArray[np.generic], width: int, height: int) -> NDArray[np.uint8]:
-    """Return an image (H, W) or (H, W, C), 0 to 255, averaged exactly over the area of each larger pixel."""
-    rows, columns = image.shape[:2]
-    if (rows, columns) == (height, width):
-        return image.astype(np.uint8)
-    by_row, by_column = _shares(rows, height), _shares(columns, width)
-    # One colour at a time: a photo of 20 megapixels is 240 MB as float32.
-    planes = np.moveaxis(image.reshape(rows, columns, -1), -1, 0)
-    small = [by_column @ (by_row @ plane.astype(np.float32)).T for plane in planes]
-    values = np.rint(np.stack(small, axis=-1)).clip(0, 255).astype(np.uint8)
-    return np.ascontiguousarray(values.swapaxes(0, 1).reshape(height, width, *image.shape[2:]))
-
-
-def _shares(source: int, target: int) -> csr_array:
-    """Return the matrix (target, source) with the share that each source pixel has in each target pixel."""
-    edges = np.arange(target + 1) * (source / target)
-    first, last = np.floor(edges[:-1]).astype(int), np.minimum(np.ceil(edges[1:]).astype(int), source)
-    counts = last - first
-    row = np.repeat(np.arange(target), counts)
-    column = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
-    overlap = np.minimum(column + 1, edges[row + 1]) - np.maximum(column, edges[row])
-    shares = overlap.clip(0) * (target / source)
-    return csr_array((shares.astype(np.float32), (row, column)), shape=(target, source))

@@ -51,8 +51,8 @@ class GaussianOptimiser:
             gradient = parameter.grad if parameter.grad is not None else torch.zeros_like(parameter)
             rates = _rates(name, parameter, settings, extent, step)
             if not adam_update(parameter, gradient, self.first[name], self.second[name], rates, step):
-                _raise_if_not_finite(f"the gradient of {name}", gradient, step)
-                _raise_if_not_finite(name, parameter, step)
+                require_finite(f"the gradient of {name}", gradient, step)
+                require_finite(name, parameter, step)
             parameter.grad = None
 
     def rearrange(self, source: Tensor, fresh: int) -> None:
@@ -126,7 +126,8 @@ def _rates(name: str, parameter: Tensor, settings: TrainSettings, extent: float,
     return rates * by_name[name]
 
 
-def _raise_if_not_finite(what: str, tensor: Tensor, step: int) -> None:
+def require_finite(what: str, tensor: Tensor, step: int) -> None:
+    """Raise :class:`NumericalError` where a tensor has NaN or infinities; ``what`` names it."""
     bad = int((~torch.isfinite(tensor.detach())).sum())
     if bad:
         raise NumericalError(

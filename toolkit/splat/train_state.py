@@ -14,10 +14,12 @@ from torch import Tensor
 from toolkit.scene import Scene
 from toolkit.splat.checkpoint import Checkpoint
 from toolkit.splat.density import DensityChange, DensityControl
+from toolkit.splat.exposure import Exposure
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo
 from toolkit.splat.initialise import gaussians_from_points
-from toolkit.splat.optimiser import GaussianOptimiser
+from toolkit.splat.mcmc import McmcControl
+from toolkit.splat.optimiser import GaussianOptimiser, require_finite
 from toolkit.splat.train_settings import TrainSettings
 
 
@@ -53,7 +55,7 @@ class TrainState:
     optimiser, density:
         The Gaussians with all that is kept for each of them.
     generator:
-        The only source of randomness: order of photos, positions of split Gaussians, background.
+        The only source of randomness: order of photos, positions of split Gaussians, background, noise.
     order, position:
         (F,) int64 permutation of the photos of this round, and how many of them were used.
     step:
@@ -66,10 +68,14 @@ class TrainState:
         Wall time of the steps in all sessions, by what it was spent on.
     initial_gaussians:
         How many there were before the first step.
+    most_gaussians:
+        The cap on their number: that of the settings, or of the memory when the run began.
+    exposure:
+        Colour changes of the photos, where they are learned.
     """
 
     optimiser: GaussianOptimiser
-    density: DensityControl
+    density: DensityControl | McmcControl
     generator: torch.Generator
     order: Tensor
     position: int = 0
@@ -78,21 +84,25 @@ class TrainState:
     changes: DensityChange = field(default_factory=DensityChange)
     seconds: dict[str, float] = field(default_factory=dict)
     initial_gaussians: int = 0
+    most_gaussians: int = 0
+    exposure: Exposure | None = None
 
     @classmethod
     def start(
         cls, scene: Scene, photos: int, settings: TrainSettings, extent: float, seed: int, device: str
     ) -> TrainState:
-        """Return the state before the first step."""
+        """Return the state before the first step. ``settings.max_gaussians`` must fit into the memory."""
         generator = torch.Generator().manual_seed(seed)
         gaussians = gaussians_from_points(scene.points, opacity=settings.initial_opacity)
         gaussians = _at_most(gaussians, settings.max_gaussians, generator).to(device=device)
         return cls(
             optimiser=GaussianOptimiser(gaussians),
-            density=DensityControl.start(settings, extent, gaussians),
+            density=_density_type(settings).start(settings, extent, gaussians),
             generator=generator,
             order=torch.randperm(photos, generator=generator),
             initial_gaussians=len(gaussians),
+            most_gaussians=settings.max_gaussians,
+            exposure=Exposure.start(photos, device) if settings.exposure else None,
         )
 
     def next_photo(self) -> int:
@@ -104,13 +114,22 @@ class TrainState:
         return int(self.order[self.position - 1])
 
     def checkpoint(self, made_with: Mapping[str, Any]) -> Checkpoint:
-        """Return all of this, with what the run was started with."""
+        """Return all of this, with what the run was started with.
+
+        Raises
+        ------
+        NumericalError
+            Where something is not finite: such a state is never written over a good one.
+        """
         tensors = {
             **self.optimiser.tensors(),
             **self.density.tensors(),
+            **({} if self.exposure is None else self.exposure.tensors()),
             "generator": self.generator.get_state(),
             "order": self.order,
         }
+        for name, tensor in tensors.items():
+            require_finite(name, tensor, self.step)
         state = {
             "made_with": dict(made_with),
             "position": self.position,
@@ -118,6 +137,7 @@ class TrainState:
             "changes": asdict(self.changes),
             "seconds": self.seconds,
             "initial_gaussians": self.initial_gaussians,
+            "most_gaussians": self.most_gaussians,
         }
         return Checkpoint(self.step, tensors, state)
 
@@ -132,7 +152,7 @@ class TrainState:
         generator.set_state(on_device["generator"])
         return cls(
             optimiser=GaussianOptimiser.from_tensors(on_device),
-            density=DensityControl.from_tensors(settings, extent, on_device),
+            density=_density_type(settings).from_tensors(settings, extent, on_device),
             generator=generator,
             order=on_device["order"],
             position=checkpoint.state["position"],
@@ -141,7 +161,13 @@ class TrainState:
             changes=DensityChange(**checkpoint.state["changes"]),
             seconds=dict(checkpoint.state["seconds"]),
             initial_gaussians=checkpoint.state["initial_gaussians"],
+            most_gaussians=settings.max_gaussians,
+            exposure=Exposure.from_tensors(checkpoint.tensors, device) if settings.exposure else None,
         )
+
+
+def _density_type(settings: TrainSettings) -> type[DensityControl] | type[McmcControl]:
+    return McmcControl if settings.density == "mcmc" else DensityControl
 
 
 def _at_most(gaussians: Gaussians, count: int, generator: torch.Generator) -> Gaussians:

@@ -1,0 +1,159 @@
+"""The steps of a training: render a photo, compare, move the parameters, control the density."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+from toolkit.errors import Cancelled, NumericalError
+from toolkit.metrics.image import psnr
+from toolkit.progress import Progress, ProgressEvent
+from toolkit.splat.checkpoint import save_checkpoint
+from toolkit.splat.evaluate import draw, fixed_background, raster_settings
+from toolkit.splat.exposure import expose
+from toolkit.splat.images import Photo, Pyramid
+from toolkit.splat.loss import photometric_loss
+from toolkit.splat.rasterize import rasterize
+from toolkit.splat.train_settings import Schedule, TrainSettings
+from toolkit.splat.train_state import HistoryRow, TrainState
+
+STAGE: Final = "splat.train"
+MAX_PSNR: Final = 100.0
+
+
+class Trainer:
+    """Moves a state step by step to the end of its schedule."""
+
+    def __init__(
+        self,
+        state: TrainState,
+        settings: TrainSettings,
+        extent: float,
+        photos: tuple[Photo, ...],
+        test_photo: Photo | None,
+    ) -> None:
+        self.state, self.settings, self.extent = state, settings, extent
+        self.photos, self.test_photo = Pyramid(photos), test_photo
+        self.schedule = Schedule.of(settings)
+
+    def run(self, progress: Progress, folder: Path | None, made_with: dict[str, Any]) -> None:
+        """Do all steps that are left, with progress and checkpoints."""
+        state, settings = self.state, self.settings
+        saved = state.step
+        while state.step < settings.steps:
+            start = time.perf_counter()
+            row = self.step()
+            due = state.step % settings.checkpoint_every == 0 or state.step == settings.steps
+            if folder is not None and due:
+                with self._clock("checkpoint"):
+                    save_checkpoint(folder, state.checkpoint(made_with))
+                saved = state.step
+            values = {
+                "loss": row.loss,
+                "gaussians": float(row.gaussians),
+                "step_ms": 1e3 * (time.perf_counter() - start),
+            }
+            if row.psnr_test is not None:
+                values["psnr_test"] = row.psnr_test
+            try:
+                progress(ProgressEvent(STAGE, state.step, settings.steps, values=values))
+            except Cancelled:
+                if folder is not None and saved != state.step:
+                    save_checkpoint(folder, state.checkpoint(made_with))
+                raise
+
+    def step(self) -> HistoryRow:
+        """Do one step and return its row of the history."""
+        state, step = self.state, self.state.step + 1
+        state.optimiser.raise_sh_degree(self.schedule.sh_degree_at(step))
+        loss = self._learn(state.next_photo(), step)
+        with self._clock("density"):
+            self._control_density(step)
+        psnr_test = None
+        if self.test_photo is not None and (step % self.settings.eval_every == 0 or step == self.settings.steps):
+            with self._clock("evaluation"):
+                psnr_test = self._psnr_test(self.test_photo)
+        row = HistoryRow(step, loss, len(state.optimiser.gaussians), psnr_test)
+        state.history.append(row)
+        state.step = step
+        return row
+
+    def _learn(self, index: int, step: int) -> float:
+        """Render one photo, compare, and move the parameters. Returns the photo's part of the loss."""
+        state, settings = self.state, self.settings
+        gaussians = state.optimiser.gaussians
+        device = str(gaussians.means.device)
+        with self._clock("photo"):
+            photo = self.photos.photo(index, self.schedule.shrink_at(step))
+            target, weights = photo.colours(device), photo.weights(device)
+        with self._clock("forward"):
+            output = rasterize(
+                gaussians, photo.views, raster_settings(settings), background=self._background(gaussians.means)
+            )
+            output.means2d.retain_grad()
+        affine = None if state.exposure is None else state.exposure.of_photo(index)
+        with self._clock("loss"):
+            render = output.colour[0] if affine is None else expose(output.colour[0], affine)
+            loss = photometric_loss(render, target, lambda_dssim=settings.lambda_dssim, weights=weights)
+            value = float(loss.detach())
+            cost = state.density.cost(gaussians)
+        _require_finite(value, photo, step)
+        with self._clock("backward"):
+            (loss if cost is None else loss + cost).backward()
+        if self.schedule.observes(step) and output.means2d.grad is not None:
+            with self._clock("density"):
+                camera = photo.camera
+                state.density.observe(output.means2d.grad, output.radii, camera.width, camera.height)
+        with self._clock("optimiser"):
+            state.optimiser.step(settings, self.extent, step)
+            if state.exposure is not None and affine is not None and affine.grad is not None:
+                state.exposure.step(index, affine.grad, settings.lr_exposure, step)
+        with self._clock("density"):
+            state.density.after_step(state.optimiser, state.generator, step)
+        return value
+
+    def _control_density(self, step: int) -> None:
+        state, schedule = self.state, self.schedule
+        if schedule.densifies_after(step):
+            state.changes += state.density.refine(
+                state.optimiser, state.generator, prune_large=schedule.prunes_large_after(step)
+            )
+        if schedule.resets_after(step):
+            state.density.set_opacities_back(state.optimiser)
+
+    def _background(self, like: Tensor) -> Tensor:
+        if self.settings.background == "random":
+            return torch.rand(3, generator=self.state.generator).to(like)
+        return fixed_background(self.settings, like)
+
+    def _psnr_test(self, photo: Photo) -> float:
+        gaussians = self.state.optimiser.gaussians
+        device = str(gaussians.means.device)
+        render = draw(gaussians, photo, self.settings).colour[0].clamp(0, 1)
+        weights = photo.weights(device)
+        decibels = psnr(render, photo.colours(device), None if weights is None else weights > 0)
+        # An identical picture has infinitely many, which a checkpoint's JSON cannot hold.
+        return min(decibels, MAX_PSNR)
+
+    @contextmanager
+    def _clock(self, part: str) -> Iterator[None]:
+        """Add the time of the block to a part of the run's seconds."""
+        start = time.perf_counter()
+        yield
+        self.state.seconds[part] = self.state.seconds.get(part, 0.0) + time.perf_counter() - start
+
+
+def _require_finite(loss: float, photo: Photo, step: int) -> None:
+    if not (float("-inf") < loss < float("inf")):
+        raise NumericalError(
+            f"Training met a loss that is not finite at step {step}, photo '{photo.name}'",
+            expected="a finite number",
+            found=str(loss),
+            todo="Lower the learning rates; the last checkpoint before this step is kept",
+        )
