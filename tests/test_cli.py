@@ -316,7 +316,20 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["recipes", "run", "runs", "show", "compare", "resume", "export", "sample", "demo", "data", "dashboard"],
+    [
+        "recipes",
+        "run",
+        "runs",
+        "show",
+        "compare",
+        "resume",
+        "export",
+        "sample",
+        "demo",
+        "data",
+        "dashboard",
+        "render",
+    ],
 )
 def test_every_help_has_an_example(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as done:

@@ -16,7 +16,7 @@ from PIL import Image
 from tiny_scene import make_scene
 from tiny_training import same, settings, stop_after
 
-from toolkit.errors import Cancelled, RunError
+from toolkit.errors import Cancelled, CapabilityError, RunError
 from toolkit.metrics.image import psnr
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Points, Scene
@@ -119,8 +119,9 @@ def test_a_resumed_run_equals_the_uninterrupted_one_to_the_bit(
         {"coarse_to_fine": True, "coarse_quarter": 0.2, "coarse_half": 0.6},
         {"density": "mcmc", "mcmc_growth": 0.2, "background": "random"},
         {"density": "mcmc", "exposure": True, "coarse_to_fine": True},
+        {"kind": "2d", "normal_start": 0.3, "distortion_weight": 1.0},
     ],
-    ids=["coarse to fine", "mcmc", "all"],
+    ids=["coarse to fine", "mcmc", "all", "disks"],
 )
 def test_other_ways_of_training_learn_and_resume_to_the_bit(
     scene: Scene, tmp_path: Path, changes: dict[str, object]
@@ -261,3 +262,16 @@ def test_test_views_come_with_photo_render_and_depth(scene: Scene, trained: Trai
         assert view.weights is None
         seen = view.depth[view.depth > 0]
         assert 3 < np.median(seen) < 5  # the cameras are four units from the middle
+
+
+def test_disks_stay_flat_and_their_terms_count(scene: Scene) -> None:
+    plain = train_splats(scene, settings(steps=40, kind="2d", normal_weight=0.0), seed=0)
+    held = train_splats(scene, settings(steps=40, kind="2d", normal_start=0.0), seed=0)
+    thickness = held.gaussians.log_scales[:, 2]
+    assert thickness.max() < held.gaussians.log_scales[:, :2].min() - 5
+    assert not same(plain.gaussians, held.gaussians)
+
+
+def test_mcmc_does_not_move_disks(scene: Scene) -> None:
+    with pytest.raises(CapabilityError, match="density 'adaptive' with kind '2d'"):
+        train_splats(scene, settings(kind="2d", density="mcmc"), seed=0)

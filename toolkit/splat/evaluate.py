@@ -14,7 +14,7 @@ from toolkit.progress import Progress, silent, track
 from toolkit.scene import Scene
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo
-from toolkit.splat.rasterize import BackendName, RasterSettings, RenderOutput, rasterize
+from toolkit.splat.rasterize import BackendName, Kind, RasterSettings, RenderOutput, rasterize
 from toolkit.splat.train_settings import TrainSettings
 
 Image = NDArray[np.float32]
@@ -87,7 +87,8 @@ def draw(gaussians: Gaussians, photo: Photo, settings: TrainSettings) -> RenderO
 def raster_settings(settings: TrainSettings) -> RasterSettings:
     """Return how the rasterizer is called in training and evaluation."""
     backend: BackendName = settings.backend
-    return RasterSettings(backend=backend)
+    kind: Kind = settings.kind
+    return RasterSettings(kind=kind, backend=backend)
 
 
 def fixed_background(settings: TrainSettings, like: Tensor) -> Tensor:

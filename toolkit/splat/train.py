@@ -179,6 +179,10 @@ def _check_device(settings: TrainSettings, device: str) -> None:
             f"Backend '{settings.backend}' does not work on device '{device}'",
             expected="backend 'cuda' with device 'cuda', another one with device 'cpu'",
         )
+    if settings.kind == "2d" and settings.density == "mcmc":
+        raise CapabilityError(
+            "Density 'mcmc' moves ellipsoids, not disks", expected="density 'adaptive' with kind '2d'"
+        )
 
 
 def _capped(settings: TrainSettings, most: int) -> TrainSettings:

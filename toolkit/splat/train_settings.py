@@ -52,6 +52,21 @@ class TrainSettings(Settings):
     )
     backend = Choice("cpu", choices=("cpu", "cuda", "reference"), doc="Rasterizer; reference is for tests only.")
 
+    kind = Choice(
+        "3d",
+        choices=("3d", "2d"),
+        doc="3d: ellipsoids (Kerbl et al. 2023); 2d: disks, which lie on surfaces (Huang et al. 2024).",
+    )
+    normal_weight = Number(
+        0.05, bounds=(0.0, 100.0), doc="2d: weight of the disks' normals against those of the drawn depth."
+    )
+    normal_start = Number(
+        0.233, bounds=(0.0, 1.0), unit="of steps", doc="2d: ... from here on (7,000 of 30,000 steps), 0 before."
+    )
+    distortion_weight = Number(
+        0.0, bounds=(0.0, 1e6), doc="2d: weight of the spread of depths along a ray, per squared scene extent."
+    )
+
     sh_degree = Integer(3, bounds=(0, 3), doc="Highest degree of the spherical harmonics of colour.")
     sh_every = Integer(
         1000, bounds=(1, 1_000_000), unit="steps", doc="The degree rises by one at this interval, from 0 on."
@@ -148,6 +163,10 @@ class Schedule:
         The highest degree.
     reads_gradients:
         Whether the density control reads screen-space gradients at all.
+    normal_weight, normal_first:
+        Weight of the normals after step ``normal_first``; 0 with kind 3d.
+    distortion_weight:
+        Weight of the spread of depths; 0 with kind 3d.
     quarter_last, half_last:
         Up to these steps photos have a quarter, then a half, of their sides; 0, 0 without coarse to fine.
     """
@@ -161,6 +180,9 @@ class Schedule:
     sh_every: int
     sh_degree: int
     reads_gradients: bool
+    normal_weight: float
+    normal_first: int
+    distortion_weight: float
     quarter_last: int
     half_last: int
 
@@ -180,6 +202,9 @@ class Schedule:
             sh_every=max(1, min(settings.sh_every, settings.steps // 6)),
             sh_degree=settings.sh_degree,
             reads_gradients=adaptive,
+            normal_weight=settings.normal_weight if settings.kind == "2d" else 0.0,
+            normal_first=round(settings.normal_start * settings.steps),
+            distortion_weight=settings.distortion_weight if settings.kind == "2d" else 0.0,
             quarter_last=round(settings.coarse_quarter * settings.steps) if coarse else 0,
             half_last=round(settings.coarse_half * settings.steps) if coarse else 0,
         )
@@ -200,6 +225,10 @@ class Schedule:
     def prunes_large_after(self, step: int) -> bool:
         """Say whether too large Gaussians are removed after this step: once opacities were set back."""
         return self.reset_every > 0 and step > self.reset_every
+
+    def normal_weight_at(self, step: int) -> float:
+        """Return the weight of the normals in this step."""
+        return self.normal_weight if step > self.normal_first else 0.0
 
     def shrink_at(self, step: int) -> int:
         """Return by how much the photos' sides are divided in this step: 4, 2 or 1."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -21,6 +22,9 @@ from toolkit.splat.initialise import gaussians_from_points
 from toolkit.splat.mcmc import McmcControl
 from toolkit.splat.optimiser import GaussianOptimiser, require_finite
 from toolkit.splat.train_settings import TrainSettings
+
+# Third scale of a disk, in scene extents.
+_THICKNESS = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +99,8 @@ class TrainState:
         generator = torch.Generator().manual_seed(seed)
         gaussians = gaussians_from_points(scene.points, opacity=settings.initial_opacity)
         gaussians = _at_most(gaussians, settings.max_gaussians, generator).to(device=device)
+        if settings.kind == "2d":
+            gaussians = flattened(gaussians, extent)
         return cls(
             optimiser=GaussianOptimiser(gaussians),
             density=_density_type(settings).start(settings, extent, gaussians),
@@ -168,6 +174,16 @@ class TrainState:
 
 def _density_type(settings: TrainSettings) -> type[DensityControl] | type[McmcControl]:
     return McmcControl if settings.density == "mcmc" else DensityControl
+
+
+def flattened(gaussians: Gaussians, extent: float) -> Gaussians:
+    """Return Gaussians whose third scale is next to nothing: a disk has none, and other programs draw one.
+
+    It has no gradient with kind 2d, so it stays, and where density control looks at sizes it does not count.
+    """
+    log_scales = gaussians.log_scales.clone()
+    log_scales[:, 2] = math.log(_THICKNESS * extent)
+    return replace(gaussians, log_scales=log_scales)
 
 
 def _at_most(gaussians: Gaussians, count: int, generator: torch.Generator) -> Gaussians:

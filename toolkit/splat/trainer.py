@@ -19,7 +19,8 @@ from toolkit.splat.evaluate import draw, fixed_background, raster_settings
 from toolkit.splat.exposure import expose
 from toolkit.splat.images import Photo, Pyramid
 from toolkit.splat.loss import photometric_loss
-from toolkit.splat.rasterize import rasterize
+from toolkit.splat.rasterize import RenderOutput, rasterize
+from toolkit.splat.regularise import depth_distortion, normal_consistency
 from toolkit.splat.train_settings import Schedule, TrainSettings
 from toolkit.splat.train_state import HistoryRow, TrainState
 
@@ -102,7 +103,7 @@ class Trainer:
             render = output.colour[0] if affine is None else expose(output.colour[0], affine)
             loss = photometric_loss(render, target, lambda_dssim=settings.lambda_dssim, weights=weights)
             value = float(loss.detach())
-            cost = state.density.cost(gaussians)
+            cost = _sum(state.density.cost(gaussians), self._surface_cost(output, photo, step))
         _require_finite(value, photo, step)
         with self._clock("backward"):
             (loss if cost is None else loss + cost).backward()
@@ -117,6 +118,12 @@ class Trainer:
         with self._clock("density"):
             state.density.after_step(state.optimiser, state.generator, step)
         return value
+
+    def _surface_cost(self, output: RenderOutput, photo: Photo, step: int) -> Tensor | None:
+        """Return what holds disks to surfaces, None where nothing is asked for (Huang et al. 2024, section 5)."""
+        normals, spread = self.schedule.normal_weight_at(step), self.schedule.distortion_weight
+        cost = normals * normal_consistency(output, photo.views) if normals > 0 else None
+        return _sum(cost, spread / self.extent**2 * depth_distortion(output) if spread > 0 else None)
 
     def _control_density(self, step: int) -> None:
         state, schedule = self.state, self.schedule
@@ -147,6 +154,12 @@ class Trainer:
         start = time.perf_counter()
         yield
         self.state.seconds[part] = self.state.seconds.get(part, 0.0) + time.perf_counter() - start
+
+
+def _sum(a: Tensor | None, b: Tensor | None) -> Tensor | None:
+    if a is None or b is None:
+        return b if a is None else a
+    return a + b
 
 
 def _require_finite(loss: float, photo: Photo, step: int) -> None:
