@@ -27,9 +27,9 @@ from toolkit.splat.train_settings import TrainSettings
 WAYS: dict[str, dict[str, object]] = {
     "3d": {"kind": "3d"},
     "2d, no terms": {"kind": "2d", "normal_weight": 0.0},
-    "2d, distortion": {"kind": "2d", "normal_weight": 0.0, "distortion_weight": 100.0},
+    "2d, distortion": {"kind": "2d", "normal_weight": 0.0, "distortion_weight": 1.0},
     "2d, normals": {"kind": "2d"},
-    "2d, both": {"kind": "2d", "distortion_weight": 100.0},
+    "2d, both": {"kind": "2d", "distortion_weight": 1.0},
 }
 
 
