@@ -38,8 +38,10 @@ from toolkit.splat.cpu.tiles import (
 )
 from toolkit.splat.loss import photometric_loss
 from toolkit.splat.optimiser import GaussianOptimiser
-from toolkit.splat.rasterize import ALPHA_MAX, TRANSMITTANCE_MIN, RasterSettings, rasterize
+from toolkit.splat.rasterize import ALPHA_MAX, TRANSMITTANCE_MIN, BackendName, RasterSettings, rasterize
 from toolkit.splat.train_settings import TrainSettings
+
+Array = np.ndarray[Any, Any]
 
 COUNTS = (10_000, 50_000, 100_000, 200_000)
 SIZES = ((320, 240), (640, 480), (1280, 720))
@@ -69,7 +71,9 @@ class Row:
 
 
 @njit(parallel=True)
-def count_pairs(starts, entries, used, records, columns, width, height):  # type: ignore[no-untyped-def]
+def count_pairs(
+    starts: Array, entries: Array, used: Array, records: Array, columns: int, width: int, height: int
+) -> int:
     """Return how many pairs of Gaussian and pixel are blended, by plain loops."""
     counts = np.zeros(len(used), np.int64)
     for tile in prange(len(used)):
@@ -93,7 +97,7 @@ def count_pairs(starts, entries, used, records, columns, width, height):  # type
 
 
 @njit(parallel=True)
-def _multiply_add(out, repeats):  # type: ignore[no-untyped-def]
+def _multiply_add(out: Array, repeats: int) -> None:
     for task in prange(len(out)):
         a, b, c, d = splat(0.1), splat(0.2), splat(0.3), splat(0.4)
         e, f, g, h = splat(0.5), splat(0.6), splat(0.7), splat(0.8)
@@ -191,17 +195,19 @@ def step_parts(degree: int, repeats: int) -> dict[str, list[float]]:
 
 def reference_ratio() -> tuple[float, float]:
     """Return milliseconds of the reference twin and of the kernels: 1,000 Gaussians, 160x120, with gradients."""
-    times = {}
-    for backend in ("reference", "cpu"):
-        gaussians, views, target = workload(1000, 160, 120, 0)
+    times = [_backend_time(backend) for backend in ("reference", "cpu")]
+    return times[0], times[1]
 
-        def work() -> None:
-            output = rasterize(gaussians, views, RasterSettings(backend=backend))  # noqa: B023
-            (output.colour - target).abs().mean().backward()  # noqa: B023
 
-        work()
-        times[backend] = 1e3 * statistics.median(_seconds(work) for _ in range(3))
-    return times["reference"], times["cpu"]
+def _backend_time(backend: BackendName) -> float:
+    gaussians, views, target = workload(1000, 160, 120, 0)
+
+    def work() -> None:
+        output = rasterize(gaussians, views, RasterSettings(backend=backend))
+        (output.colour - target).abs().mean().backward()
+
+    work()
+    return 1e3 * statistics.median(_seconds(work) for _ in range(3))
 
 
 def peak_memory() -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -108,6 +109,6 @@ def test_local_metres_are_those_of_proj() -> None:
         geodetic_from_ecef,
     ],
 )
-def test_no_rows_give_no_rows(function) -> None:  # type: ignore[no-untyped-def]
+def test_no_rows_give_no_rows(function: Callable[..., np.ndarray]) -> None:
     assert function(np.zeros((0, 3))).shape == (0, 3)
     assert function([]).shape == (0, 3)

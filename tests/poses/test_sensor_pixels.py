@@ -122,14 +122,19 @@ def test_homographies_from_one_place_agree_with_the_gimbal(real_data: Path, tmp_
             assert found is not None
             turn = np.linalg.inv(matrix) @ found["H"] @ matrix
             left, _, right = np.linalg.svd(turn / np.cbrt(np.linalg.det(turn)))
-            priors = [scene.frames[number - 1].prior for number in (first, second)]
-            assert priors[0] is not None
-            assert priors[1] is not None
-            by_gimbal = priors[1].rotation @ priors[0].rotation.T  # type: ignore[union-attr]
+            one, other = (gimbal_rotation(scene, number - 1) for number in (first, second))
+            by_gimbal = other @ one.T
             names = scene.frames[first - 1].name, scene.frames[second - 1].name
             angles[names] = np.degrees(rotation_angle(left @ right @ by_gimbal.T))
     assert len(angles) >= 6
     assert max(angles.values()) < 2.0, angles
+
+
+def gimbal_rotation(scene: Scene, index: int) -> np.ndarray:
+    prior = scene.frames[index].prior
+    assert prior is not None
+    assert prior.rotation is not None
+    return prior.rotation
 
 
 def matched(scene: Scene, folder: Path, features: int) -> Path:

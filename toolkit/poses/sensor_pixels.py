@@ -114,12 +114,13 @@ def check_pixels(scene: Scene, database_path: Path, *, progress: Progress = sile
         raise DataError(f"{database_path} does not belong to this scene", expected=f"its {len(names)} frames")
     pairs = _relative_poses(scene, database_path, progress)
     poses = [frame.cam_from_world for frame in scene.frames]
-    quarters, anchored = find_quarters(pairs, poses, _sigmas(scene))
+    sigmas = _sigmas(scene)
+    quarters, anchored = find_quarters(pairs, poses, sigmas)
     turns = {names[i]: QUARTERS[quarter] for i, quarter in quarters.items() if quarter}
     upright = [
         None if pose is None else _turned_pose(pose, QUARTERS[quarters.get(i, 0)]) for i, pose in enumerate(poses)
     ]
-    checks = tuple(_check(pair, upright, names, _sigmas(scene)) for pair in pairs)
+    checks = tuple(_check(pair, upright, names, sigmas) for pair in pairs)
     rotation = _by_frame(checks, lambda check: check.rotation)
     direction = _by_frame(checks, lambda check: check.direction)
     reached = {i for pair in pairs for i in (pair.first, pair.second)}

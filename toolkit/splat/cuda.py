@@ -35,6 +35,7 @@ from toolkit.splat.rasterize import (
     RenderOutput,
     Views,
 )
+from toolkit.splat.reference import of_all
 from toolkit.splat.reference_2d import Disks, meet, project_disks
 
 TILE = 16
@@ -188,11 +189,7 @@ def _rasterize_2d(
         project_disks(gaussians, cam_from_world, intrinsics, views, settings)
         for cam_from_world, intrinsics in zip(views.cam_from_world, views.intrinsics, strict=True)
     ]
-    count = len(gaussians)
-    means2d = torch.stack(
-        [view.means2d.new_zeros(count, 2).index_copy(0, view.index, view.means2d) for view in disks]
-    )
-    radii = torch.stack([view.radii.new_zeros(count).index_copy(0, view.index, view.radii) for view in disks])
+    means2d, radii = of_all(len(gaussians), disks)
     images = [
         _blend_disks(gsplat, view, centres[view.index], background, views, settings.near)
         for view, centres in zip(disks, means2d, strict=True)

@@ -6,7 +6,9 @@ those of Kerbl et al., 3D Gaussian Splatting (2023), sections 4 to 6, and Zwicke
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -73,18 +75,39 @@ def rasterize_reference(
         project(gaussians, cam_from_world.to(dtype), intrinsics.to(dtype), views, settings)
         for cam_from_world, intrinsics in zip(views.cam_from_world, views.intrinsics, strict=True)
     ]
-    count = len(gaussians)
-    # All views' centres in one tensor, on which the images depend: its gradient is what density control reads.
-    means2d = torch.stack(
-        [view.means2d.new_zeros(count, 2).index_copy(0, view.index, view.means2d) for view in projected]
-    )
-    radii = torch.stack([view.radii.new_zeros(count).index_copy(0, view.index, view.radii) for view in projected])
+    means2d, radii = of_all(len(gaussians), projected)
     images = [
         blend(view, centres[view.index], background.to(dtype), views.width, views.height)
         for view, centres in zip(projected, means2d, strict=True)
     ]
     colour, alpha, expected_depth, median_depth = (torch.stack(image) for image in zip(*images, strict=True))
     return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d)
+
+
+class Drawn(Protocol):
+    """What a view's projection has of the M Gaussians that can be drawn."""
+
+    @property
+    def index(self) -> Tensor:
+        """(M,) their positions among all."""
+
+    @property
+    def means2d(self) -> Tensor:
+        """(M, 2)."""
+
+    @property
+    def radii(self) -> Tensor:
+        """(M,)."""
+
+
+def of_all(count: int, views: Sequence[Drawn]) -> tuple[Tensor, Tensor]:
+    """Return centres (C, N, 2) and radii (C, N) of all N Gaussians, zero for those that are not drawn.
+
+    The images depend on the centres through this one tensor: its gradient is what density control reads.
+    """
+    means2d = [view.means2d.new_zeros(count, 2).index_copy(0, view.index, view.means2d) for view in views]
+    radii = [view.radii.new_zeros(count).index_copy(0, view.index, view.radii) for view in views]
+    return torch.stack(means2d), torch.stack(radii)
 
 
 def project(

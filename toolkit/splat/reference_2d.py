@@ -33,7 +33,7 @@ from toolkit.splat.rasterize import (
     RenderOutput,
     Views,
 )
-from toolkit.splat.reference import MAX_EXTENT, rotation_matrices
+from toolkit.splat.reference import MAX_EXTENT, of_all, rotation_matrices
 from toolkit.splat.sh import eval_sh
 
 # Deviation of the screen space Gaussian, in pixels: the square root of a half.
@@ -92,12 +92,7 @@ def rasterize_reference_2d(
         project_disks(gaussians, cam_from_world.to(dtype), intrinsics.to(dtype), views, settings)
         for cam_from_world, intrinsics in zip(views.cam_from_world, views.intrinsics, strict=True)
     ]
-    count = len(gaussians)
-    # All views' centres in one tensor, on which the images depend: its gradient is what density control reads.
-    means2d = torch.stack(
-        [view.means2d.new_zeros(count, 2).index_copy(0, view.index, view.means2d) for view in disks]
-    )
-    radii = torch.stack([view.radii.new_zeros(count).index_copy(0, view.index, view.radii) for view in disks])
+    means2d, radii = of_all(len(gaussians), disks)
     images = [
         _blend(view, centres[view.index], background.to(dtype), views.width, views.height, settings.near)
         for view, centres in zip(disks, means2d, strict=True)

@@ -126,7 +126,7 @@ def _nothing_yet(runs_dir: Path) -> str:
         element(
             "p",
             element("code", "make demo"),
-            " makes a sample flight and two runs on it (about five minutes); ",
+            " makes a sample flight and two runs on it (some minutes); ",
             element("code", "toolkit run colmap-3dgs --data PHOTOS"),
             " makes one from your own photos. Runs in this folder appear here by themselves.",
         ),

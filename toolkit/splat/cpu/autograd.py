@@ -5,7 +5,8 @@ They are two so that the projected centres are a tensor of the graph, whose grad
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -37,7 +38,7 @@ def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, 
     """
     check_inputs(gaussians, views, background)
     degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
-    means2d, splats, factors, radii = _Project.apply(
+    means2d, splats, factors, radii = Project.apply(
         gaussians.means,
         gaussians.quaternions,
         gaussians.log_scales,
@@ -46,6 +47,7 @@ def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, 
         views.cam_from_world.to(torch.float32),
         views,
         (settings.near, degree),
+        Projection(project, project_backward, 8),
     )
     colour, alpha, expected_depth, median_depth = _Blend.apply(
         means2d, splats, background.to(torch.float32), factors, radii, (views.width, views.height)
@@ -93,8 +95,16 @@ def flat(
     )
 
 
-class _Project(torch.autograd.Function):
-    """Parameters and poses to footprints: see :mod:`toolkit.splat.cpu.projection`."""
+class Projection(NamedTuple):
+    """What projects Gaussians of a kind, what differentiates that, and how many numbers a footprint has."""
+
+    project: Callable[..., None]
+    project_backward: Callable[..., tuple[tuple[Array, ...], Array]]
+    columns: int
+
+
+class Project(torch.autograd.Function):
+    """Parameters and poses to footprints, and to what their tile lists are made from (4 numbers each)."""
 
     @staticmethod
     def forward(
@@ -107,38 +117,30 @@ class _Project(torch.autograd.Function):
         cam_from_world: Tensor,
         views: Views,
         near_and_degree: tuple[float, int],
+        by: Projection,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         count, number = len(means), len(cam_from_world)
         near, degree = near_and_degree
         parameters = flat(means, quaternions, log_scales, logits, sh)
         cameras = camera_rows(as_array(cam_from_world), as_array(views.intrinsics), views.width, views.height)
-        means2d, splats, factors = (means.new_empty(number, count, columns) for columns in (2, 8, 4))
+        means2d, splats, outlines = (means.new_empty(number, count, columns) for columns in (2, by.columns, 4))
         radii = means.new_empty(number, count, 1, dtype=torch.int32)
         size = (views.width, views.height, float(near), degree)
+        made = (as_array(means2d), as_array(splats), as_array(outlines), as_array(radii))
         with launching():
-            project(
-                cameras,
-                size,
-                parameters,
-                (
-                    as_array(means2d),
-                    as_array(splats),
-                    as_array(factors),
-                    as_array(radii),
-                ),
-            )
+            by.project(cameras, size, parameters, made)
         ctx.save_for_backward(means, quaternions, log_scales, logits, sh, splats)
-        ctx.radii, ctx.cameras, ctx.degree = radii, cameras, degree
+        ctx.radii, ctx.cameras, ctx.degree, ctx.by = radii, cameras, degree, by
         flat_radii = radii.reshape(number, count)
-        ctx.mark_non_differentiable(factors, flat_radii)
-        return means2d, splats, factors, flat_radii
+        ctx.mark_non_differentiable(outlines, flat_radii)
+        return means2d, splats, outlines, flat_radii
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         *parameters, splats = ctx.saved_tensors
         with launching():
-            by_parameters, by_pose = project_backward(
+            by_parameters, by_pose = ctx.by.project_backward(
                 ctx.cameras,
                 ctx.degree,
                 flat(*parameters),
@@ -149,7 +151,7 @@ class _Project(torch.autograd.Function):
             torch.from_numpy(array).reshape(tensor.shape)
             for array, tensor in zip(by_parameters, parameters, strict=True)
         ]
-        return *shaped, torch.from_numpy(by_pose), None, None
+        return *shaped, torch.from_numpy(by_pose), None, None, None
 
 
 class _Blend(torch.autograd.Function):

@@ -9,11 +9,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from toolkit.splat.cpu.autograd import as_array, check_inputs, flat
+from toolkit.splat.cpu.autograd import Project, Projection, as_array, check_inputs
 from toolkit.splat.cpu.backward_2d import blend_backward_2d
 from toolkit.splat.cpu.forward_2d import blend_2d
 from toolkit.splat.cpu.kernels import launching
-from toolkit.splat.cpu.projection import camera_rows
 from toolkit.splat.cpu.projection_2d import project_2d
 from toolkit.splat.cpu.projection_backward_2d import project_backward_2d
 from toolkit.splat.cpu.tiles import TileLists
@@ -39,7 +38,7 @@ def rasterize_cpu_2d(
     """
     check_inputs(gaussians, views, background)
     degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
-    means2d, splats, bounds, radii = _Project.apply(
+    means2d, splats, bounds, radii = Project.apply(
         gaussians.means,
         gaussians.quaternions,
         gaussians.log_scales,
@@ -48,71 +47,13 @@ def rasterize_cpu_2d(
         views.cam_from_world.to(torch.float32),
         views,
         (settings.near, degree),
+        Projection(project_2d, project_backward_2d, SPLAT),
     )
     size = views.width, views.height, float(settings.near)
     colour, alpha, expected, median, normals, distortion = _Blend.apply(
         means2d, splats, background.to(torch.float32), bounds, radii, size
     )
     return RenderOutput(colour, alpha, expected, median, radii, means2d, normals, distortion)
-
-
-class _Project(torch.autograd.Function):
-    """Parameters and poses to footprints: see :mod:`toolkit.splat.cpu.projection_2d`."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        means: Tensor,
-        quaternions: Tensor,
-        log_scales: Tensor,
-        logits: Tensor,
-        sh: Tensor,
-        cam_from_world: Tensor,
-        views: Views,
-        near_and_degree: tuple[float, int],
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        count, number = len(means), len(cam_from_world)
-        near, degree = near_and_degree
-        parameters = flat(means, quaternions, log_scales, logits, sh)
-        cameras = camera_rows(as_array(cam_from_world), as_array(views.intrinsics), views.width, views.height)
-        means2d, splats, bounds = (means.new_empty(number, count, columns) for columns in (2, SPLAT, 4))
-        radii = means.new_empty(number, count, 1, dtype=torch.int32)
-        size = (views.width, views.height, float(near), degree)
-        with launching():
-            project_2d(
-                cameras,
-                size,
-                parameters,
-                (
-                    as_array(means2d),
-                    as_array(splats),
-                    as_array(bounds),
-                    as_array(radii),
-                ),
-            )
-        ctx.save_for_backward(means, quaternions, log_scales, logits, sh, splats)
-        ctx.radii, ctx.cameras, ctx.degree = radii, cameras, degree
-        flat_radii = radii.reshape(number, count)
-        ctx.mark_non_differentiable(bounds, flat_radii)
-        return means2d, splats, bounds, flat_radii
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        *parameters, splats = ctx.saved_tensors
-        with launching():
-            by_parameters, by_pose = project_backward_2d(
-                ctx.cameras,
-                ctx.degree,
-                flat(*parameters),
-                (as_array(splats), as_array(ctx.radii)),
-                (as_array(gradients[0]), as_array(gradients[1])),
-            )
-        shaped = [
-            torch.from_numpy(array).reshape(tensor.shape)
-            for array, tensor in zip(by_parameters, parameters, strict=True)
-        ]
-        return *shaped, torch.from_numpy(by_pose), None, None
 
 
 class _Blend(torch.autograd.Function):
