@@ -35,6 +35,13 @@ def names(figure: go.Figure) -> list[str]:
     return [trace.name for trace in figure.data if trace.showlegend is not False]
 
 
+@pytest.mark.parametrize(("values", "ticks"), [([0.45, 0.25], "D1"), ([3.0, 0.02], "D2"), ([np.nan, 0.0], "D1")])
+def test_a_logarithmic_axis_has_labels_however_short_it_is(values: list[float], ticks: str) -> None:
+    """Labels at 1, 2 and 5 only leave none between 0.25 and 0.45."""
+    figure = curve_figure({"a": ([1, 2], values)}, title="loss", x_title="step", log=True)
+    assert figure.layout.yaxis.dtick == ticks
+
+
 def test_a_curve_shows_its_values() -> None:
     figure = curve_figure({"a": ([1, 2, 3], [0.3, 0.2, 0.1])}, title="loss", x_title="step", log=True)
     assert list(figure.data[0].x) == [1, 2, 3]

@@ -44,8 +44,15 @@ def curve_figure(
         )
     drawn.update_xaxes(title_text=x_title)
     if log:
-        drawn.update_yaxes(type="log", dtick="D2", tickformat="~g")
+        drawn.update_yaxes(type="log", dtick=_log_ticks(drawn), tickformat="~g")
     return drawn
+
+
+def _log_ticks(drawn: go.Figure) -> str:
+    """Return Plotly's code for labels at 1, 2, 5, or at every digit where that might leave an axis without any."""
+    values = np.concatenate([np.empty(0), *(np.asarray(line.y, dtype=np.float64) for line in drawn.data)])
+    values = values[np.isfinite(values) & (values > 0)]
+    return "D2" if len(values) and values.max() > 10 * values.min() else "D1"
 
 
 def thinned(count: int, most: int = MOST_POINTS) -> NDArray[np.int64]:
