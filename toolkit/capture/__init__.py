@@ -1,0 +1,1 @@
+"""From video and flight logs to frames: decoding, telemetry, keyframes."""

@@ -1,0 +1,1 @@
+"""Depth from single pictures, and points from it."""
