@@ -55,3 +55,32 @@ def test_a_parameter_that_is_not_contiguous_is_refused_rather_than_copied() -> N
     parameter = torch.zeros(4, 3).T
     with pytest.raises(RuntimeError, match="view"):
         adam_update(parameter, parameter.clone(), parameter.clone(), parameter.clone(), torch.ones(4), 1)
+
+
+@pytest.mark.parametrize("shape", [(7,), (1500, 3), (700, 16, 3), (3000, 4)])
+def test_only_the_rows_that_are_asked_for_move(shape) -> None:
+    start, gradients = problem(*shape)
+    generator = torch.Generator().manual_seed(3)
+    rates = torch.rand(shape[1:], generator=generator) * 0.01
+    states = [[start.clone(), torch.zeros(shape), torch.zeros(shape)] for _ in range(2)]
+    moved = torch.zeros(shape[0], dtype=torch.bool)
+    for step, gradient in enumerate(gradients, start=1):
+        rows = torch.rand(shape[0], generator=generator) < 0.2
+        moved |= rows
+        for update, (parameter, first, second) in zip((adam_update, adam_update_reference), states, strict=True):
+            assert update(parameter, gradient, first, second, rates, step, rows)
+    assert moved.any()
+    for parameter, first, second in states:
+        assert torch.equal(parameter[~moved], start[~moved])
+        assert not first[~moved].any()
+        assert not second[~moved].any()
+    for fast, slow in zip(*states, strict=True):
+        # Ten steps of at most 0.01: a few units in the last place of numbers near one.
+        torch.testing.assert_close(fast, slow, rtol=1e-5, atol=1e-6)
+
+
+def test_no_rows_leave_everything_as_it_was() -> None:
+    start, gradients = problem(100, 3)
+    parameter, none = start.clone(), torch.zeros(100, dtype=torch.bool)
+    assert adam_update(parameter, gradients[0], torch.zeros(100, 3), torch.zeros(100, 3), torch.ones(3), 1, none)
+    assert torch.equal(parameter, start)

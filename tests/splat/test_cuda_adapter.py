@@ -110,6 +110,7 @@ def test_everything_is_handed_to_gsplat_in_its_units(twins: GsplatTwins) -> None
         "render_mode": "RGB+ED",
         "rasterize_mode": "classic",
         "camera_model": "pinhole",
+        "absgrad": False,
     }
 
 

@@ -269,3 +269,54 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     elsewhere = one_gaussian().to(dtype=torch.float32, device="meta")
     with pytest.raises(CapabilityError, match="cannot draw means on this device; expected cpu; found meta"):
         rasterize(elsewhere, straight_view())
+
+
+def absolute_gradient(
+    gaussians: Gaussians, views: Views, backend: BackendName, weights: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The absolute and the plain screen gradient of a weighted sum of colours."""
+    dtype = torch.float64 if backend == "reference" else torch.float32
+    gaussians = gaussians.map(lambda tensor: tensor.to(dtype).clone().requires_grad_())
+    views = Views(views.cam_from_world.to(dtype), views.intrinsics.to(dtype), views.width, views.height)
+    output = rasterize(gaussians, views, RasterSettings(backend=backend, absolute_gradients=True))
+    output.means2d.retain_grad()
+    (weights.to(dtype)[..., None] * output.colour).sum().backward()
+    absolute = output.screen_gradient()
+    assert absolute is not None
+    assert output.means2d.grad is not None
+    return absolute.to(torch.float64), output.means2d.grad.to(torch.float64)
+
+
+@pytest.mark.parametrize("name", ["ordinary, degree 3", "three views, degree 2", "needles"])
+def test_absolute_gradients_are_those_of_the_reference(name: str) -> None:
+    """To 1e-3 of their norm, as other gradients."""
+    scene = SCENES[name]
+    views = scene.views
+    like = torch.empty(len(views), views.height, views.width)
+    keep = ~undecided_pixels(scene, like, MARGIN)
+    weights = torch.randn(keep.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * keep
+    expected, plain = absolute_gradient(scene.gaussians, scene.views, "reference", weights)
+    found, _ = absolute_gradient(scene.gaussians, scene.views, "cpu", weights)
+    assert (found - expected).norm() < 1e-3 * expected.norm()
+    assert (expected >= plain.abs() - 1e-9 * plain.abs().max()).all()
+    assert expected.sum() > 1.5 * plain.abs().sum()
+
+
+def test_absolute_gradients_sum_what_each_pixel_says() -> None:
+    """Against one backward pass for every pixel, in float64: to rounding."""
+    gaussians = together(one_gaussian((0.1, 0.05, 2)), one_gaussian((-0.1, 0.0, 2.5)))
+    views = straight_view()
+    generator = torch.Generator().manual_seed(2)
+    weights = torch.randn(1, 21, 21, generator=generator, dtype=torch.float64)
+    found, _ = absolute_gradient(gaussians, views, "reference", weights)
+    expected = torch.zeros_like(found)
+    for pixel in range(21 * 21):
+        only = torch.zeros_like(weights).view(-1)
+        only[pixel] = weights.view(-1)[pixel]
+        expected += absolute_gradient(gaussians, views, "reference", only.view(1, 21, 21))[1].abs()
+    torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_absolute_gradients_are_refused_for_disks() -> None:
+    with pytest.raises(CapabilityError, match="kind '3d' only"):
+        rasterize(one_gaussian(), straight_view(), RasterSettings(kind="2d", absolute_gradients=True))

@@ -164,16 +164,19 @@ def test_means2d_carry_the_gradient_of_the_images() -> None:
     assert output.means2d.grad[0, 0, 1].item() == pytest.approx(0, abs=0.02 * mass)
 
 
-def test_groups_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_squares_and_what_is_kept_of_them_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = SCENES["ordinary, degree 3"]
     results = []
-    for pairs in (1 << 22, 30_000):
-        monkeypatch.setattr("toolkit.splat.reference.PAIRS_AT_ONCE", pairs)
+    # One square: every pixel against every Gaussian. Then small ones, kept and computed again.
+    for block, pairs in ((1 << 12, 1 << 40), (16, 1 << 40), (16, 0)):
+        monkeypatch.setattr("toolkit.splat.reference.BLOCK", block)
+        monkeypatch.setattr("toolkit.splat.reference.PAIRS_KEPT", pairs)
         gaussians = scene.gaussians.map(lambda tensor: tensor.clone().requires_grad_())
         output = rasterize(gaussians, scene.views, REFERENCE)
         output.colour.square().sum().backward()
         results.append((output.colour.detach(), gaussians.means.grad))
-    torch.testing.assert_close(results[0], results[1], rtol=1e-12, atol=1e-12)
+    for result in results[1:]:
+        torch.testing.assert_close(results[0], result, rtol=1e-12, atol=1e-12)
 
 
 def test_no_gaussians_is_background() -> None:

@@ -120,8 +120,9 @@ def test_a_resumed_run_equals_the_uninterrupted_one_to_the_bit(
         {"density": "mcmc", "mcmc_growth": 0.2, "background": "random"},
         {"density": "mcmc", "exposure": True, "coarse_to_fine": True},
         {"kind": "2d", "normal_start": 0.3, "distortion_weight": 1.0},
+        {"absolute_gradients": True, "update": "visible"},
     ],
-    ids=["coarse to fine", "mcmc", "all", "disks"],
+    ids=["coarse to fine", "mcmc", "all", "disks", "absolute, visible"],
 )
 def test_other_ways_of_training_learn_and_resume_to_the_bit(
     scene: Scene, tmp_path: Path, changes: dict[str, object]
@@ -270,6 +271,11 @@ def test_disks_stay_flat_and_their_terms_count(scene: Scene) -> None:
     thickness = held.gaussians.log_scales[:, 2]
     assert thickness.max() < held.gaussians.log_scales[:, :2].min() - 5
     assert not same(plain.gaussians, held.gaussians)
+
+
+def test_absolute_gradients_are_not_for_disks(scene: Scene) -> None:
+    with pytest.raises(CapabilityError, match="ellipsoids only"):
+        train_splats(scene, settings(kind="2d", absolute_gradients=True), seed=0)
 
 
 def test_mcmc_does_not_move_disks(scene: Scene) -> None:

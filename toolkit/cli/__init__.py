@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 import toolkit
-from toolkit.cli import data, pages, render, runs
+from toolkit.cli import capture, data, pages, render, runs, slam, tables
 from toolkit.cli.common import Command
 from toolkit.errors import Cancelled, ToolkitError
 
@@ -16,7 +16,11 @@ from toolkit.errors import Cancelled, ToolkitError
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code: 0, 2 for an error that is told, 130 when stopped."""
     given = list(sys.argv[1:] if argv is None else argv)
-    arguments = build_parser(with_sample_flags="sample" in given).parse_args(given)
+    arguments = build_parser(
+        with_sample_flags="sample" in given,
+        with_frame_flags="frames" in given,
+        with_vocabulary_flags="vocabulary" in given,
+    ).parse_args(given)
     command: Command = arguments.command
     try:
         command(arguments)
@@ -36,10 +40,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def build_parser(*, with_sample_flags: bool = True) -> argparse.ArgumentParser:
+def build_parser(
+    *, with_sample_flags: bool = True, with_frame_flags: bool = True, with_vocabulary_flags: bool = True
+) -> argparse.ArgumentParser:
     """Return the parser of all commands.
 
-    The flags of ``sample`` come from its settings, which take a moment to import: only that command needs them.
+    The flags of ``sample``, ``frames`` and ``vocabulary`` come from their settings, which take a moment to import:
+    only these commands need them.
     """
     parser = argparse.ArgumentParser(
         prog="toolkit",
@@ -52,4 +59,7 @@ def build_parser(*, with_sample_flags: bool = True) -> argparse.ArgumentParser:
     runs.add_commands(commands)
     render.add_commands(commands)
     data.add_commands(commands, with_sample_flags=with_sample_flags)
+    capture.add_commands(commands, with_flags=with_frame_flags)
+    slam.add_commands(commands, with_vocabulary_flags=with_vocabulary_flags)
+    tables.add_commands(commands)
     return parser

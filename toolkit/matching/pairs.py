@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from toolkit.errors import StageError
-from toolkit.scene import Scene
+from toolkit.scene import PosePrior, Scene
 from toolkit.settings import Boolean, Choice, Integer, Number, Settings
 
 Pairs = NDArray[np.int64]
@@ -20,8 +20,9 @@ class PairSettings(Settings):
 
     method = Choice(
         "exhaustive",
-        choices=("exhaustive", "sequential", "spatial"),
-        doc="Every pair; neighbours in the order of capture; or neighbours by the positions that sensors gave.",
+        choices=("exhaustive", "sequential", "spatial", "sensor"),
+        doc="Every pair; neighbours in the order of capture; neighbours by the positions that sensors gave; or by "
+        "positions and views that sensors gave.",
     )
     overlap = Integer(
         10, bounds=(1, 1000), unit="frames", doc="Sequential: how many following frames each frame is matched with."
@@ -40,11 +41,26 @@ class PairSettings(Settings):
         8,
         bounds=(1, 1000),
         unit="frames",
-        doc="Spatial: how many nearest frames each frame is matched with; one without position is matched with as "
-        "many before and after it.",
+        doc="Spatial and sensor: how many nearest frames each frame is matched with; one without position is "
+        "matched with as many before and after it.",
     )
     max_distance = Number(
-        0.0, bounds=(0.0, None), unit="m", doc="Spatial: frames farther apart are not matched; 0: no limit."
+        0.0,
+        bounds=(0.0, None),
+        unit="m",
+        doc="Spatial and sensor: frames farther apart are not matched; 0: no limit.",
+    )
+    max_view_angle = Number(
+        45.0,
+        bounds=(1.0, 180.0),
+        unit="degrees",
+        doc="Sensor: frames whose optical axes differ by more are not matched, where attitudes are known.",
+    )
+    in_order = Integer(
+        2,
+        bounds=(0, 100),
+        unit="frames",
+        doc="Sensor: each frame is also matched with so many that follow it, because single readings may be wrong.",
     )
 
 
@@ -161,14 +177,67 @@ def spatial_pairs(positions: ArrayLike, neighbours: int, max_distance: float | N
     return _unique(np.stack([first[near], other[near]], axis=1))
 
 
+def view_pairs(
+    positions: ArrayLike, views: ArrayLike, neighbours: int, max_distance: float | None, max_angle: float
+) -> Pairs:
+    """Return pairs (P, 2) of each frame with the ``neighbours`` nearest to it in position and view.
+
+    Distances count in units of the median distance to the farthest wanted neighbour by position alone, which grows
+    with the height of a flight as its overlap does; angles between optical axes in units of half the largest one.
+
+    Parameters
+    ----------
+    positions:
+        (n, 3) finite camera centres in metres.
+    views:
+        (n, 3) unit vectors along the optical axes; NaN where not known: such frames are compared by position alone.
+    neighbours:
+        How many nearest others each frame is paired with.
+    max_distance:
+        Frames farther apart, in metres, are not paired; None: no limit.
+    max_angle:
+        Frames whose axes differ by more, in radians, are not paired.
+
+    Raises
+    ------
+    ValueError
+        For positions or views of another shape, and positions that are NaN or infinite.
+    """
+    points, axes = np.asarray(positions, dtype=np.float64), np.asarray(views, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all() or axes.shape != points.shape:
+        raise ValueError(
+            f"expected finite positions (n, 3) and views of their shape, got {points.shape}, {axes.shape}"
+        )
+    count = len(points)
+    wanted = min(neighbours, count - 1)
+    if wanted < 1:
+        return np.zeros((0, 2), dtype=np.int64)
+    found = []
+    farthest = np.array([np.partition(np.linalg.norm(points - point, axis=1), wanted)[wanted] for point in points])
+    unit = max(float(np.median(farthest)), 1e-9)
+    for i in range(count):
+        distance = np.linalg.norm(points - points[i], axis=1)
+        cosine = axes @ axes[i]
+        angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0)
+        cost = np.hypot(distance / unit, 2.0 * angle / max_angle)
+        allowed = angle <= max_angle
+        if max_distance is not None:
+            allowed &= distance <= max_distance
+        allowed[i] = False
+        nearest = np.argsort(np.where(allowed, cost, np.inf), kind="stable")[:wanted]
+        nearest = nearest[allowed[nearest]]
+        found.append(np.stack([np.full(len(nearest), i), nearest], axis=1))
+    return _unique(np.concatenate(found))
+
+
 def choose_pairs(scene: Scene, settings: PairSettings) -> ChosenPairs:
     """Return the pairs of the scene's frames that the settings ask for.
 
     Raises
     ------
     StageError
-        For fewer than two frames, for the spatial method where half of the frames or more have no position, and
-        where no frame is within ``max_distance`` of another.
+        For fewer than two frames, for the spatial and sensor methods where half of the frames or more have no
+        position, and where no frame is within ``max_distance`` of another.
     """
     count = len(scene)
     if count < 2:
@@ -185,6 +254,8 @@ def choose_pairs(scene: Scene, settings: PairSettings) -> ChosenPairs:
         )
     else:
         index = _spatial(scene, settings)
+        if settings.method == "sensor":
+            index = _unique(np.concatenate([index, sequential_pairs(count, settings.in_order)]))
         if not len(index):
             raise StageError(
                 "No two frames are near enough to each other to be matched",
@@ -213,7 +284,7 @@ def _spatial(scene: Scene, settings: PairSettings) -> Pairs:
     if 2 * len(missing) >= len(scene):
         names = [scene.frames[i].name for i in missing]
         raise StageError(
-            "Spatial pairs need a position of most frames",
+            f"{settings.method.capitalize()} pairs need a position of most frames",
             expected="positions from EXIF GPS or scene.json",
             found=f"{len(missing)} of {len(scene)} frames without one: "
             + ", ".join(names[:5])
@@ -221,9 +292,23 @@ def _spatial(scene: Scene, settings: PairSettings) -> Pairs:
             todo="Choose the exhaustive or the sequential method instead",
         )
     placed = np.array(list(positions))
-    near = spatial_pairs(list(positions.values()), settings.neighbours, settings.max_distance or None)
+    limit = settings.max_distance or None
+    if settings.method == "spatial":
+        near = spatial_pairs(list(positions.values()), settings.neighbours, limit)
+    else:
+        views = np.array([_view(priors[i]) for i in positions])
+        near = view_pairs(
+            list(positions.values()), views, settings.neighbours, limit, np.radians(settings.max_view_angle)
+        )
     in_order = sequential_pairs(len(scene), settings.neighbours)
     return _unique(np.concatenate([placed[near], in_order[np.isin(in_order, missing).any(axis=1)]]))
+
+
+def _view(prior: PosePrior | None) -> NDArray[np.float64]:
+    """Return the optical axis (3,) that sensors gave, NaN where they gave none."""
+    if prior is None or prior.rotation is None:
+        return np.full(3, np.nan)
+    return prior.rotation[2]
 
 
 def _unique(pairs: NDArray[np.int64]) -> Pairs:

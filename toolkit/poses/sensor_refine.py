@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from toolkit.errors import Cancelled, StageError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
 from toolkit.poses.resection import Resection, place_by_points
+from toolkit.poses.sensor_biases import correct, estimate_biases
 from toolkit.poses.sensors import SensorPoseSettings
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Scene, scene_from_pycolmap
@@ -46,6 +49,11 @@ class SensorSfmSettings(SensorPoseSettings):
     place_others = Boolean(
         True, doc="Frames without usable readings are placed by the points that their matches belong to."
     )
+    estimate_biases = Boolean(
+        True,
+        doc="Find constant errors of the sensors (heading, boresight, time offset, lever arm) after the first "
+        "round, and correct the readings where they are significant; no: they are only reported.",
+    )
     min_matches = Integer(15, bounds=(6, 1000), unit="matches", doc="Pairs with fewer inliers are not used.")
     refine_focal = Boolean(True, doc="Find the focal length; no: keep that of the scene's cameras.")
     refine_distortion = Boolean(True, doc="Find the distortion; no: keep that of the scene's cameras.")
@@ -64,12 +72,27 @@ class Refinement:
         What each adjustment did, so far.
     others:
         The frames without readings, and what points said of them.
+    scene:
+        The scene with readings as they are used: from the second round on without the sensors' biases.
+
+    Parameters
+    ----------
+    turns:
+        Degrees by which pictures are turned clockwise against their cameras, by name, where they are.
     """
 
-    def __init__(self, scene: Scene, database_path: Path, settings: SensorSfmSettings, seed: int) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        database_path: Path,
+        settings: SensorSfmSettings,
+        seed: int,
+        turns: Mapping[str, float] | None = None,
+    ) -> None:
         self.reports: list[AdjustmentReport] = []
         self.others = Resection(scene, (), {})
-        self._scene, self._database, self._settings, self._seed = scene, database_path, settings, seed
+        self.scene, self._database, self._settings, self._seed = scene, database_path, settings, seed
+        self._turns = turns or {}
         cameras = {scene.camera_of(frame) for frame in scene.registered}
         focals = [camera.intrinsics[0, 0] for camera in cameras if isinstance(camera, ColmapCamera)]
         self._focal = float(np.median(focals))
@@ -85,12 +108,21 @@ class Refinement:
     def run(self, token: pycolmap.CancellationToken) -> pycolmap.Reconstruction:
         """Return the adjusted reconstruction."""
         settings = self._settings
-        model = self._scene.to_pycolmap()
+        model = self.scene.to_pycolmap()
         for number, limit in enumerate(self._limits):
             model = self._round(model, number, float(limit), token)
-        if settings.place_others and len(self._scene.registered) < len(self._scene):
+            if number == 0 and settings.estimate_biases:
+                found = scene_from_pycolmap(model, self.scene.image_dir, like=self.scene)
+                corrected = correct(found, estimate_biases(found, turns=self._turns), turns=self._turns)
+                self.scene = self.scene.replace(
+                    frames=tuple(
+                        dataclasses.replace(frame, prior=better.prior)
+                        for frame, better in zip(self.scene.frames, corrected.frames, strict=True)
+                    )
+                )
+        if settings.place_others and len(self.scene.registered) < len(self.scene):
             self.others = place_by_points(
-                scene_from_pycolmap(model, self._scene.image_dir, like=self._scene),
+                scene_from_pycolmap(model, self.scene.image_dir, like=self.scene),
                 model,
                 self._database,
                 max_error=settings.max_error,
@@ -115,7 +147,7 @@ class Refinement:
         model = pycolmap.triangulate_points(
             model,
             self._database,
-            self._scene.image_dir,
+            self.scene.image_dir,
             # COLMAP writes the model here, and to a folder beside it first.
             self._database.parent / "model",
             clear_points=True,
@@ -135,7 +167,7 @@ class Refinement:
             min_angle=settings.min_angle,
             threads=settings.threads,
             check_cancelled=check_cancelled,
-            priors=position_priors(self._scene, model),
+            priors=position_priors(self.scene, model),
         )
         self.reports.append(report)
         return model

@@ -25,6 +25,7 @@ from toolkit.matching.colmap_job import run_colmap
 from toolkit.matching.database import copy_database, keypoint_counts
 from toolkit.poses.adjust import AdjustmentReport
 from toolkit.poses.resection import Resection
+from toolkit.poses.sensor_biases import SensorBiases, estimate_biases
 from toolkit.poses.sensor_pixels import PixelCheck, check_pixels
 from toolkit.poses.sensor_refine import Refinement, SensorSfmSettings
 from toolkit.poses.sensors import SensorPoses, sensor_poses, some
@@ -56,6 +57,8 @@ class SensorSfmResult:
         Why frames have no pose, by their names.
     rounds:
         What each adjustment did.
+    biases:
+        Constant errors of the sensors, from the refined poses and the readings as they came.
     position_residual, rotation_residual:
         By frame name, how far the refined pose is from the sensors', in metres and degrees.
     mean_track_length, mean_reprojection_error:
@@ -72,6 +75,7 @@ class SensorSfmResult:
     placed_by_points: tuple[str, ...]
     not_placed: Mapping[str, str]
     rounds: tuple[AdjustmentReport, ...]
+    biases: SensorBiases
     position_residual: Mapping[str, float]
     rotation_residual: Mapping[str, float]
     mean_track_length: float
@@ -95,6 +99,7 @@ class SensorSfmResult:
             "sensors": self.sensors.to_dict(),
             "pixels": self.pixels.to_dict(),
             "rounds": [report.to_dict() for report in self.rounds],
+            "biases": self.biases.to_dict(),
             "seconds": dict(self.seconds),
         }
 
@@ -160,10 +165,11 @@ def sensor_sfm(
         checked = time.perf_counter()
         contradicted = pixels.contradicted if settings.distrust else {}
         trusted = _without_readings(_with_start_cameras(sensors.scene, copy), contradicted)
-        job = Refinement(trusted, copy, settings, seed)
+        turns = pixels.turns if settings.correct_turns else {}
+        job = Refinement(trusted, copy, settings, seed, turns)
         model = run_colmap(job.run, job.event, progress, copy)
     refined = time.perf_counter()
-    turned_about_line = _settle_line(model, trusted)
+    turned_about_line = _settle_line(model, job.scene)
     unusable = {
         **dict.fromkeys(sensors.no_attitude, "no gimbal attitude"),
         **dict.fromkeys(sensors.no_position, "no GPS position"),
@@ -179,6 +185,7 @@ def sensor_sfm(
             todo="Look at the warnings of the readings, raise first_error, or use colmap-3dgs",
         )
     position, rotation = _residuals(found)
+    biases = estimate_biases(_without_readings(found, contradicted, keep_pose=True), turns=turns)
     return SensorSfmResult(
         scene=found,
         sensors=sensors,
@@ -186,6 +193,7 @@ def sensor_sfm(
         placed_by_points=tuple(name for name in job.others.placed if name not in not_placed),
         not_placed=not_placed,
         rounds=tuple(job.reports),
+        biases=biases,
         position_residual=position,
         rotation_residual=rotation,
         mean_track_length=float(model.compute_mean_track_length()),
@@ -208,11 +216,13 @@ def _with_start_cameras(scene: Scene, database_path: Path) -> Scene:
     return scene.replace(cameras={**scene.cameras, **cameras})
 
 
-def _without_readings(scene: Scene, names: Iterable[str]) -> Scene:
-    """Return the scene with neither pose nor prior for some frames."""
+def _without_readings(scene: Scene, names: Iterable[str], *, keep_pose: bool = False) -> Scene:
+    """Return the scene without prior for some frames, and without their poses unless these are kept."""
     dropped = set(names)
     frames = (
-        dataclasses.replace(frame, cam_from_world=None, prior=None) if frame.name in dropped else frame
+        dataclasses.replace(frame, cam_from_world=frame.cam_from_world if keep_pose else None, prior=None)
+        if frame.name in dropped
+        else frame
         for frame in scene.frames
     )
     return scene.replace(frames=tuple(frames))

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from toolkit.errors import StageError
 from toolkit.geometry.rigid import RigidTransform
+from toolkit.poses.flight_line import with_flight_line
 from toolkit.scene import Frame, PosePrior, Scene
-from toolkit.settings import Number, Settings
+from toolkit.settings import Choice, Number, Settings
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,18 @@ class SensorPoseSettings(Settings):
         unit="degrees",
         doc="Standard deviation of the gimbal's attitude about each axis, for photos that do not tell it.",
     )
+    attitude = Choice(
+        "gimbal",
+        choices=("gimbal", "flight-line", "auto"),
+        doc="Where cameras looked: what the gimbal said; along the line of flight, tilted by assumed_pitch; or "
+        "that for photos whose gimbal said nothing.",
+    )
+    assumed_pitch = Number(
+        -90.0,
+        bounds=(-90.0, 30.0),
+        unit="degrees",
+        doc="Attitude from the flight line: tilt of the camera above the horizon; -90 looks straight down.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +73,15 @@ class SensorPoses:
         Names of frames that lack one and so have no pose.
     warnings:
         What looks odd in the readings, a sentence each.
+    from_flight_line:
+        Names of frames whose attitude was taken from the direction of flight.
     """
 
     scene: Scene
     no_position: tuple[str, ...]
     no_attitude: tuple[str, ...]
     warnings: tuple[str, ...]
+    from_flight_line: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the counts and warnings, ready for JSON."""
@@ -75,6 +91,7 @@ class SensorPoses:
             "no_position": list(self.no_position),
             "no_attitude": list(self.no_attitude),
             "warnings": list(self.warnings),
+            "from_flight_line": list(self.from_flight_line),
         }
 
 
@@ -105,6 +122,15 @@ def sensor_poses(
             found=f"{len(scene)} frames without georeference",
             todo="Use colmap-3dgs, which needs no positions",
         )
+    line = None
+    if settings.attitude != "gimbal":
+        line = with_flight_line(
+            scene,
+            pitch=settings.assumed_pitch,
+            every=settings.attitude == "flight-line",
+            noise=settings.horizontal_sigma,
+        )
+        scene = line.scene
     frames = tuple(_placed(frame, settings, (turns or {}).get(frame.name, 0.0)) for frame in scene.frames)
     no_position = tuple(f.name for f in frames if f.prior is None or f.prior.position is None)
     no_attitude = tuple(f.name for f in frames if f.prior is None or f.prior.rotation is None)
@@ -115,10 +141,14 @@ def sensor_poses(
             expected="GPS (EXIF) and gimbal angles (XMP, as DJI writes them) in at least 2 photos",
             found=f"{len(frames) - len(no_position)} with a position, {len(frames) - len(no_attitude)} with an "
             f"attitude, {placed} with both",
-            todo="Use colmap-3dgs, which needs neither",
+            todo="Use colmap-3dgs, which needs neither, or set attitude to auto if the camera was fixed below a "
+            "drone that flew nose ahead",
         )
     made = scene.replace(frames=frames, points=None)
-    return SensorPoses(made, no_position, no_attitude, _odd_readings(made, no_position, no_attitude))
+    odd = _odd_readings(made, no_position, no_attitude)
+    if line is None:
+        return SensorPoses(made, no_position, no_attitude, odd)
+    return SensorPoses(made, no_position, no_attitude, (*odd, *line.warnings), line.along)
 
 
 def turned(rotation: Array, degrees: float) -> Array:

@@ -22,7 +22,13 @@ from toolkit.splat.evaluate import RenderedView
 
 
 def measure_test_renders(
-    renders: Iterable[RenderedView], count: int, artifacts: Path, lpips: Lpips, progress: Progress
+    renders: Iterable[RenderedView],
+    count: int,
+    artifacts: Path,
+    lpips: Lpips,
+    progress: Progress,
+    *,
+    name: str = "test",
 ) -> tuple[tuple[TestView, ...], dict[str, float | None], dict[str, Any]]:
     """Write each test photo beside its render and measure PSNR, SSIM and, where there are weights, LPIPS.
 
@@ -35,18 +41,20 @@ def measure_test_renders(
     count:
         How many there are.
     artifacts:
-        Folder below which ``test/`` is filled with PNG pictures.
+        Folder below which ``<name>/`` is filled with PNG pictures.
     lpips:
         Made before the training, so that a damaged weights file is told before hours are spent.
+    name:
+        Of the folder and in front of the measures.
 
     Returns
     -------
     views, metrics, report:
-        One entry a test frame; their means as ``test.<measure>``; a remark where LPIPS is not available.
+        One entry a test frame; their means as ``<name>.<measure>``; a remark where LPIPS is not available.
     """
     views: list[TestView] = []
     for number, render in enumerate(track(renders, "measure", progress, count)):
-        photo, drawn = f"test/{number:04d}_photo.png", f"test/{number:04d}_render.png"
+        photo, drawn = f"{name}/{number:04d}_photo.png", f"{name}/{number:04d}_render.png"
         counts = None if render.weights is None else render.weights > 0
         _write_picture(render.photo, artifacts / photo)
         _write_picture(render.render, artifacts / drawn)
@@ -61,18 +69,20 @@ def measure_test_renders(
             )
         )
     if not views:
-        return (), {"test.psnr": None, "test.ssim": None}, {"reason": "no test frame was registered"}
+        return (), {f"{name}.psnr": None, f"{name}.ssim": None}, {"reason": "no test frame was registered"}
     metrics: dict[str, float | None] = {
-        "test.views": float(len(views)),
-        "test.psnr": float(np.mean([view.psnr for view in views])),
-        "test.ssim": float(np.mean([view.ssim for view in views])),
+        f"{name}.views": float(len(views)),
+        f"{name}.psnr": float(np.mean([view.psnr for view in views])),
+        f"{name}.ssim": float(np.mean([view.ssim for view in views])),
     }
     distances = [view.lpips for view in views if view.lpips is not None]
-    metrics[f"test.{lpips.name}"] = float(np.mean(distances)) if distances else None
+    metrics[f"{name}.{lpips.name}"] = float(np.mean(distances)) if distances else None
     return tuple(views), metrics, {} if lpips.available else {lpips.name: f"not available: {lpips.reason}"}
 
 
-def measure_poses(estimate: Scene, reference: Scene | None) -> tuple[dict[str, float | None], dict[str, Any]]:
+def measure_poses(
+    estimate: Scene, reference: Scene | None, *, name: str = "poses"
+) -> tuple[dict[str, float | None], dict[str, Any]]:
     """Compare poses with the reference: POS, ROT and ATE, and the relative pose error.
 
     Always after Sim(3) alignment; after SE(3) alignment and unaligned too where the estimate claims the reference's
@@ -81,7 +91,7 @@ def measure_poses(estimate: Scene, reference: Scene | None) -> tuple[dict[str, f
     Returns
     -------
     metrics, report:
-        ``poses.<alignment>.<measure>`` in scene units of the reference and in degrees; what could not be
+        ``<name>.<alignment>.<measure>`` in scene units of the reference and in degrees; what could not be
         measured is left out and the report says why. The report also holds the errors of each frame and
         ``extent``, the diagonal of the box around the reference's camera centres.
     """
@@ -98,17 +108,17 @@ def measure_poses(estimate: Scene, reference: Scene | None) -> tuple[dict[str, f
             report[alignment] = {"reason": str(error)}
             continue
         report[alignment] = errors.to_dict()
-        metrics[f"poses.{alignment}.pos"] = errors.pos
-        metrics[f"poses.{alignment}.rot_deg"] = errors.rot
-        metrics[f"poses.{alignment}.ate"] = errors.ate
+        metrics[f"{name}.{alignment}.pos"] = errors.pos
+        metrics[f"{name}.{alignment}.rot_deg"] = errors.rot
+        metrics[f"{name}.{alignment}.ate"] = errors.ate
     try:
         relative = relative_errors(estimate, reference).to_dict()
     except StageError as error:
         report["relative"] = {"reason": str(error)}
     else:
         report["relative"] = relative
-        metrics["poses.rpe.translation"] = relative["translation_rmse"]
-        metrics["poses.rpe.rotation_deg"] = relative["rotation_deg_rmse"]
+        metrics[f"{name}.rpe.translation"] = relative["translation_rmse"]
+        metrics[f"{name}.rpe.rotation_deg"] = relative["rotation_deg_rmse"]
     return metrics, report
 
 

@@ -12,8 +12,9 @@ def all_recipes() -> dict[str, Recipe]:
     """Return every recipe by its name, in the order in which they are listed."""
     from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
     from toolkit.recipes.sensor_3dgs import RECIPE as SENSOR_3DGS
+    from toolkit.recipes.sensor_fused import RECIPE as SENSOR_FUSED
 
-    return {recipe.name: recipe for recipe in (COLMAP_3DGS, SENSOR_3DGS)}
+    return {recipe.name: recipe for recipe in (COLMAP_3DGS, SENSOR_3DGS, SENSOR_FUSED)}
 
 
 def find_recipe(name: str) -> Recipe:

@@ -7,7 +7,7 @@ from matches under these poses, and both are adjusted with the GPS as prior.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -38,6 +38,15 @@ from toolkit.settings import Group, Settings
 from toolkit.splat.train_settings import TrainSettings
 
 
+class SensorStageSettings(Protocol):
+    """What recipes with sensor poses have in common."""
+
+    sift: SiftSettings
+    pairs: PairSettings
+    match: MatchSettings
+    sensors: SensorSfmSettings
+
+
 class Sensor3dgsSettings(Settings):
     """Settings of every stage of sensor poses + 3DGS."""
 
@@ -51,6 +60,11 @@ class Sensor3dgsSettings(Settings):
 def run(data: RecipeInput, settings: Sensor3dgsSettings, context: RecipeContext) -> RecipeResult:
     """Take poses from GPS and gimbal, refine them by matches, then train a splat on them."""
     lpips = Lpips()
+    return train_and_measure(data, sensor_stages(data, settings, context), settings.train, context, lpips)
+
+
+def sensor_stages(data: RecipeInput, settings: SensorStageSettings, context: RecipeContext) -> PosedStages:
+    """Return the stages features, matches and sensors, each taken from the workspace where it is there."""
     sensor_poses(data.scene, settings.sensors)  # what is missing is told before features are extracted
     features, matches = features_and_matches(data, settings.sift, settings.pairs, settings.match, context)
     posed = _sensor_stage(data, settings, matches, context)
@@ -64,11 +78,11 @@ def run(data: RecipeInput, settings: Sensor3dgsSettings, context: RecipeContext)
         "sensors.turned": float(len(posed.report["pixels"]["turns"])),
         **_raw_errors(data, settings, posed),
     }
-    return train_and_measure(data, PosedStages((features, matches, posed), metrics), settings.train, context, lpips)
+    return PosedStages((features, matches, posed), metrics)
 
 
 def _sensor_stage(
-    data: RecipeInput, settings: Sensor3dgsSettings, matches: CachedStage, context: RecipeContext
+    data: RecipeInput, settings: SensorStageSettings, matches: CachedStage, context: RecipeContext
 ) -> CachedStage:
     def poses_into(folder: Path) -> dict[str, Any]:
         found = sensor_sfm(
@@ -97,7 +111,7 @@ def _rms(values: Any) -> float | None:
     return float(np.sqrt(np.mean(numbers**2))) if len(numbers) else None
 
 
-def _raw_errors(data: RecipeInput, settings: Sensor3dgsSettings, posed: CachedStage) -> dict[str, float | None]:
+def _raw_errors(data: RecipeInput, settings: SensorStageSettings, posed: CachedStage) -> dict[str, float | None]:
     """Return the errors of the sensors' poses as they are, where the reference is in the sensors' own frame."""
     reference: Scene | None = data.reference
     if reference is None or reference.georeference is None or reference.georeference != data.scene.georeference:

@@ -16,7 +16,8 @@ from toolkit.metrics.lpips import Lpips
 from toolkit.poses.undistort import undistort
 from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult, StageTime
 from toolkit.recipes.cached import CachedStage, cached_stage
-from toolkit.recipes.measure import measure_poses, measure_test_renders
+from toolkit.recipes.measure import measure_test_renders
+from toolkit.recipes.measure_refined import judged_poses, measure_refined_test_renders
 from toolkit.scene import Scene
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.splat.evaluate import render_test_views
@@ -97,6 +98,9 @@ def train_and_measure(
 ) -> RecipeResult:
     """Train a splat on the undistorted photos of a scene with poses, and measure test renders and poses.
 
+    Where the settings refine poses, the poses that are measured are the refined ones, and test photos are compared
+    with renders from cameras that moved along (:mod:`toolkit.recipes.measure_refined`).
+
     Parameters
     ----------
     lpips:
@@ -115,6 +119,8 @@ def train_and_measure(
     )
     training = StageTime("train", sum(trained.seconds.values()))
     start = time.perf_counter()
+    judged = judged_poses(scene, flat_scene, trained, data.reference)
+    flat_scene = judged.flat_scene
     views, image_metrics, image_report = measure_test_renders(
         render_test_views(trained.gaussians, flat_scene, settings, device=context.device),
         len(flat_scene.of_split("test")),
@@ -122,15 +128,18 @@ def train_and_measure(
         lpips,
         context.progress,
     )
-    pose_metrics, pose_report = measure_poses(scene, data.reference)
+    refined_metrics, refined_report = measure_refined_test_renders(
+        trained.gaussians, flat_scene, settings, lpips, context
+    )
     stages = (*posed.stages, flat)
     return RecipeResult(
-        scene=scene,
+        scene=judged.scene,
         gaussians=trained.gaussians,
         times=(*(s.time for s in stages), training, StageTime("measure", time.perf_counter() - start)),
         metrics={
             **image_metrics,
-            **pose_metrics,
+            **refined_metrics,
+            **judged.metrics,
             **posed.metrics,
             "splat.gaussians": float(len(trained.gaussians)),
         },
@@ -138,7 +147,8 @@ def train_and_measure(
             **{stage.time.name: stage.report for stage in stages},
             "train": trained.to_dict(),
             "images": image_report,
-            "poses": pose_report,
+            **refined_report,
+            **judged.reports,
         },
         test_views=views,
     )

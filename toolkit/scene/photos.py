@@ -12,13 +12,12 @@ import numpy as np
 import pycolmap
 
 from toolkit.errors import DataError
-from toolkit.geometry.attitude import cam_from_enu
 from toolkit.geometry.cameras import ColmapCamera
-from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.progress import Progress, silent, track
 from toolkit.scene.colmap_model import check_name
 from toolkit.scene.exif import PhotoTags, read_tags
 from toolkit.scene.pictures import check_picture, open_picture
+from toolkit.scene.priors import GeodeticReading, priors_from_readings
 from toolkit.scene.scene import Frame, Georeference, PosePrior, Scene
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -85,11 +84,7 @@ def scene_from_photos(
     DataError
         Where the folder is missing or has no photos, or a photo is damaged; the message names it.
     """
-    if camera_model not in pycolmap.CameraModelId.__members__ or camera_model == "INVALID":
-        raise DataError(
-            f"Unknown camera model '{camera_model}'",
-            expected=", ".join(name for name in pycolmap.CameraModelId.__members__ if name != "INVALID"),
-        )
+    check_camera_model(camera_model)
     image_dir = folder / "images" if (folder / "images").is_dir() else folder
     names = photo_names(image_dir)
     photos = [_read(image_dir, name, check) for name in track(names, "photos", progress)]
@@ -103,6 +98,34 @@ def scene_from_photos(
     mask_dir = folder / "masks" if (folder / "masks").is_dir() else None
     scene = Scene(image_dir, cameras, frames, mask_dir=mask_dir, georeference=georeference)
     return PhotoFolder(scene, _warnings(photos))
+
+
+def check_camera_model(name: str) -> None:
+    """Raise :class:`DataError` where COLMAP has no camera model of this name."""
+    if name not in pycolmap.CameraModelId.__members__ or name == "INVALID":
+        raise DataError(
+            f"Unknown camera model '{name}'",
+            expected=", ".join(name for name in pycolmap.CameraModelId.__members__ if name != "INVALID"),
+        )
+
+
+def start_camera(model: str, width: int, height: int, focal: float | None = None) -> ColmapCamera:
+    """Return the camera that pictures of a size start with.
+
+    Parameters
+    ----------
+    model:
+        COLMAP's name; the principal point is the middle, distortion is zero.
+    width, height:
+        In pixels.
+    focal:
+        Measured focal length in pixels, or None: 1.2 times the longer side, COLMAP's guess.
+    """
+    guess = _FOCAL_FACTOR * max(width, height)
+    camera = pycolmap.Camera.create_from_model_name(1, model, focal or guess, width, height)
+    # COLMAP trusts the focal length from the start where it was measured.
+    camera.has_prior_focal_length = bool(focal)
+    return ColmapCamera.from_pycolmap(camera)
 
 
 def photo_names(image_dir: Path) -> list[str]:
@@ -161,41 +184,29 @@ def _cameras(photos: Sequence[_Photo], model: str, share: bool) -> tuple[dict[in
     numbers: dict[object, int] = {}
     camera_ids: dict[str, int] = {}
     for photo in photos:
+        camera = start_camera(model, photo.width, photo.height, photo.tags.focal)
         focal = photo.tags.focal or _FOCAL_FACTOR * max(photo.width, photo.height)
         kind = (photo.width, photo.height, photo.tags.camera, round(focal)) if share else photo.name
         if kind not in numbers:
             numbers[kind] = len(numbers) + 1
-            camera = pycolmap.Camera.create_from_model_name(numbers[kind], model, focal, photo.width, photo.height)
-            # COLMAP trusts the focal length from the start where it was measured.
-            camera.has_prior_focal_length = photo.tags.focal is not None
-            cameras[numbers[kind]] = ColmapCamera.from_pycolmap(camera)
+            cameras[numbers[kind]] = camera
         camera_ids[photo.name] = numbers[kind]
     return cameras, camera_ids
 
 
 def _priors(photos: Sequence[_Photo]) -> tuple[Georeference | None, Mapping[str, PosePrior]]:
-    """Return the origin and the priors: metres east, north and up of it, and the camera's rotation by the gimbal.
-
-    The rotation is relative to east, north and up at the photo, which differ from those at the origin by 0.01
-    degrees a kilometre.
-    """
-    placed = [(photo, photo.tags.position) for photo in photos if photo.tags.position is not None]
-    if not placed:
+    """Return the origin, the first position, and the priors in metres from it, with the gimbal's rotation."""
+    origin = next((photo.tags.position for photo in photos if photo.tags.position is not None), None)
+    if origin is None:
         return None, {}
-    origin = placed[0][1]
-    enu = enu_from_geodetic([position for _, position in placed], origin)
-    positions = {photo.name: row for (photo, _), row in zip(placed, enu, strict=True)}
-    priors = {}
-    for photo in photos:
-        tags = photo.tags
-        if photo.name not in positions and tags.gimbal is None:
-            continue
-        priors[photo.name] = PosePrior(
-            position=positions.get(photo.name),
-            position_sigma=np.array(tags.position_sigma) if tags.position_sigma and tags.position else None,
-            rotation=None if tags.gimbal is None else cam_from_enu(tags.gimbal),
-        )
-    return Georeference(*origin), priors
+    readings = [
+        GeodeticReading(photo.tags.position, photo.tags.gimbal, photo.tags.position_sigma or None)
+        for photo in photos
+    ]
+    georeference = Georeference(*origin)
+    made = priors_from_readings(readings, georeference)
+    named = zip(photos, made, strict=True)
+    return georeference, {photo.name: prior for photo, prior in named if prior is not None}
 
 
 def _times(photos: Sequence[_Photo]) -> Mapping[str, float]:

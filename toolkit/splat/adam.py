@@ -30,7 +30,13 @@ Floats = NDArray[np.float32]
 
 
 def adam_update(
-    parameter: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rates: Tensor, step: int
+    parameter: Tensor,
+    gradient: Tensor,
+    first: Tensor,
+    second: Tensor,
+    rates: Tensor,
+    step: int,
+    rows: Tensor | None = None,
 ) -> bool:
     """Move ``parameter`` one step, in place, and say whether gradient and parameter are finite.
 
@@ -42,9 +48,11 @@ def adam_update(
         Learning rates, of the shape of one row of the parameter.
     step:
         Number of this update, from 1 on, for the correction of the moments' bias.
+    rows:
+        (N,) bool: only these rows and their moments move; None: all.
     """
     if parameter.device.type != "cpu" or parameter.dtype != torch.float32:
-        return adam_update_reference(parameter, gradient, first, second, rates, step)
+        return adam_update_reference(parameter, gradient, first, second, rates, step, rows)
     # Whole vectors: a multiple of eight rows.
     pattern = rates.reshape(-1).repeat(LANES * max(1, _BLOCK // (LANES * max(1, rates.numel()))))
     sums = np.zeros(-(-parameter.numel() // len(pattern)), np.float32)
@@ -58,6 +66,8 @@ def adam_update(
             1 / (1 - BETA1**step),
             1 / math.sqrt(1 - BETA2**step),
             sums,
+            None if rows is None else rows.numpy(),
+            rates.numel(),
         )
     return bool(np.isfinite(sums).all())
 
@@ -77,41 +87,53 @@ def _update_blocks(
     scale_first: float,
     scale_second: float,
     sums: Floats,
+    chosen: NDArray[np.bool_] | None,
+    width: int,
 ) -> None:
-    """Update flat arrays (n,) in blocks of ``len(pattern)``.
+    """Update flat arrays (n,) in blocks of ``len(pattern)``, or of their rows of ``width`` those that are chosen.
 
-    ``sums`` (blocks,) become finite where everything in a block is.
+    ``sums`` (blocks,) become finite where everything in a block that was updated is.
     """
     size, n = len(pattern), len(parameter)
     for block in prange(len(sums)):
         start = np.uint64(block * size)
         end = min(np.uint64(n), start + np.uint64(size))
-        sums[block] = _update_block(
-            parameter,
-            first,
-            second,
-            gradient,
-            pattern,
-            start,
-            end,
-            np.float32(scale_first),
-            np.float32(scale_second),
-        )
+        arrays = parameter, first, second, gradient, pattern
+        corrections = np.float32(scale_first), np.float32(scale_second)
+        if chosen is None:
+            sums[block] = _update_block(arrays, start, end, corrections)
+        else:
+            sums[block] = _update_chosen(arrays, start, end, corrections, chosen, np.uint64(width))
 
 
 @kernel
-def _update_block(
-    parameter: Floats,
-    first: Floats,
-    second: Floats,
-    gradient: Floats,
-    pattern: Floats,
+def _update_chosen(
+    arrays: tuple[Floats, ...],
     start: int,
     end: int,
-    correct1: float,
-    correct2: float,
+    corrections: tuple[float, float],
+    chosen: NDArray[np.bool_],
+    width: int,
 ) -> float:
-    """Update ``[start, end)``; return a number that is finite where everything in it is."""
+    """Update the chosen rows in ``[start, end)``, neighbours together; return as :func:`_update_block`."""
+    first, last = start // width, end // width
+    result = 0.0
+    begin = np.uint64(first)  # of the chosen rows before this one
+    for row in range(first, last):
+        if not chosen[row]:
+            if begin < row:
+                result += _update_block(arrays, begin * width, row * width, corrections)
+            begin = row + np.uint64(1)
+    if begin < last:
+        result += _update_block(arrays, begin * width, last * width, corrections)
+    return result
+
+
+@kernel
+def _update_block(arrays: tuple[Floats, ...], start: int, end: int, corrections: tuple[float, float]) -> float:
+    """Update ``[start, end)``, whole rows; return a number that is finite where everything in it is."""
+    parameter, first, second, gradient, pattern = arrays
+    correct1, correct2 = corrections
     lanes = np.uint64(LANES)
     whole = start + (end - start) // lanes * lanes
     sum8 = splat(0.0)
@@ -138,10 +160,21 @@ def _update_block(
 
 
 def adam_update_reference(
-    parameter: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rates: Tensor, step: int
+    parameter: Tensor,
+    gradient: Tensor,
+    first: Tensor,
+    second: Tensor,
+    rates: Tensor,
+    step: int,
+    rows: Tensor | None = None,
 ) -> bool:
     """Do what :func:`adam_update` does, with torch operations, on any device and in any precision."""
     with torch.no_grad():
+        if rows is not None:
+            chosen, m, v = parameter[rows], first[rows], second[rows]
+            finite = adam_update_reference(chosen, gradient[rows], m, v, rates, step)
+            parameter[rows], first[rows], second[rows] = chosen, m, v
+            return finite
         first.lerp_(gradient, 1 - BETA1)
         second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
         mean = first / (1 - BETA1**step)

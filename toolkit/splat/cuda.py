@@ -125,6 +125,7 @@ def _rasterize_3d(
         render_mode="RGB+ED",
         rasterize_mode="classic",
         camera_model="pinhole",
+        absgrad=settings.absolute_gradients,
     )
     drawn = (info["radii"] > 0).all(-1)
     # gsplat leaves memory as it was where nothing is drawn. Through .data: a change of what it keeps for the

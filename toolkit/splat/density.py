@@ -100,7 +100,12 @@ class DensityControl:
         """Do nothing: between rounds Gaussians are left to the optimiser."""
 
     def refine(
-        self, optimiser: GaussianOptimiser, generator: torch.Generator, *, prune_large: bool
+        self,
+        optimiser: GaussianOptimiser,
+        generator: torch.Generator,
+        *,
+        prune_large: bool,
+        most: int | None = None,
     ) -> DensityChange:
         """Remove, clone and split Gaussians, and start watching afresh.
 
@@ -115,6 +120,8 @@ class DensityControl:
             Of the positions of split Gaussians.
         prune_large:
             Whether those that are too large for the scene are removed, too.
+        most:
+            How many there may be for now; by default ``max_gaussians``.
 
         Raises
         ------
@@ -125,7 +132,7 @@ class DensityControl:
         gaussians = optimiser.gaussians.detach()
         size = gaussians.log_scales.amax(dim=-1).exp()
         keep = torch.sigmoid(gaussians.opacity_logits) >= settings.prune_opacity
-        chosen = self._chosen(keep)
+        chosen = self._chosen(keep, settings.max_gaussians if most is None else most)
         small = size <= settings.clone_scale * self._extent
         clone, split = chosen & small, chosen & ~small
         if prune_large:
@@ -151,11 +158,11 @@ class DensityControl:
         """Make all Gaussians faint: those that the photos need recover, the others are pruned."""
         optimiser.set_opacities_back(RESET_FACTOR * self._settings.prune_opacity)
 
-    def _chosen(self, keep: Tensor) -> Tensor:
+    def _chosen(self, keep: Tensor, most: int) -> Tensor:
         """Return which Gaussians (N,) are densified: high gradients among those that stay, as many as may."""
         mean_gradient = self.gradient_sum / self.count.clamp(min=1)
         wanted = torch.nonzero(keep & (mean_gradient > self._threshold))[:, 0]
-        places = max(0, self._settings.max_gaussians - int(keep.sum()))
+        places = max(0, most - int(keep.sum()))
         if len(wanted) > places:
             order = torch.sort(mean_gradient[wanted], descending=True, stable=True).indices
             wanted = wanted[order[:places]]

@@ -88,7 +88,7 @@ def raster_settings(settings: TrainSettings) -> RasterSettings:
     """Return how the rasterizer is called in training and evaluation."""
     backend: BackendName = settings.backend
     kind: Kind = settings.kind
-    return RasterSettings(kind=kind, backend=backend)
+    return RasterSettings(kind=kind, backend=backend, absolute_gradients=settings.absolute_gradients)
 
 
 def fixed_background(settings: TrainSettings, like: Tensor) -> Tensor:

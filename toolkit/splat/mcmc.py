@@ -122,7 +122,12 @@ class McmcControl:
                 )
 
     def refine(
-        self, optimiser: GaussianOptimiser, generator: torch.Generator, *, prune_large: bool
+        self,
+        optimiser: GaussianOptimiser,
+        generator: torch.Generator,
+        *,
+        prune_large: bool,
+        most: int | None = None,
     ) -> DensityChange:
         """Move faint Gaussians onto opaque ones, and add some.
 
@@ -137,6 +142,8 @@ class McmcControl:
             Of the choice, which is by opacity.
         prune_large:
             Plays no part: large Gaussians cost, they are not removed.
+        most:
+            How many there may be for now; by default ``max_gaussians``.
 
         Raises
         ------
@@ -157,7 +164,8 @@ class McmcControl:
         if moved:
             self._copy(optimiser, torch.nonzero(alive)[:, 0], moved, generator)
         total = moved + int(alive.sum())
-        added = max(0, min(settings.max_gaussians, int((1 + settings.mcmc_growth) * total)) - total)
+        cap = settings.max_gaussians if most is None else most
+        added = max(0, min(cap, int((1 + settings.mcmc_growth) * total)) - total)
         if added:
             self._copy(optimiser, torch.arange(total, device=alive.device), added, generator)
         return DensityChange(cloned=added, relocated=moved)

@@ -30,7 +30,7 @@ class GaussianOptimiser:
         self.first = {name: torch.zeros_like(tensor) for name, tensor in gaussians.named()}
         self.second = {name: torch.zeros_like(tensor) for name, tensor in gaussians.named()}
 
-    def step(self, settings: TrainSettings, extent: float, step: int) -> None:
+    def step(self, settings: TrainSettings, extent: float, step: int, *, drawn: Tensor | None = None) -> None:
         """Move every parameter against its gradient, and forget the gradients.
 
         Parameters
@@ -41,6 +41,8 @@ class GaussianOptimiser:
             Of the scene, by which the rate of the centres is multiplied.
         step:
             Number of this step, from 1 on.
+        drawn:
+            (N,) bool: the others rest, with their moments; None: all move.
 
         Raises
         ------
@@ -50,7 +52,7 @@ class GaussianOptimiser:
         for name, parameter in self.gaussians.named():
             gradient = parameter.grad if parameter.grad is not None else torch.zeros_like(parameter)
             rates = _rates(name, parameter, settings, extent, step)
-            if not adam_update(parameter, gradient, self.first[name], self.second[name], rates, step):
+            if not adam_update(parameter, gradient, self.first[name], self.second[name], rates, step, drawn):
                 require_finite(f"the gradient of {name}", gradient, step)
                 require_finite(name, parameter, step)
             parameter.grad = None

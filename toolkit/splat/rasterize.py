@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+import torch
 from torch import Tensor
 
 from toolkit.errors import CapabilityError, DataError, SettingsError
@@ -84,12 +85,16 @@ class RasterSettings:
         Smallest camera depth that is drawn, in scene units; more than zero.
     backend:
         ``"reference"`` (float32 or float64 PyTorch, slow, readable), ``"cpu"`` (float32 numba) or ``"cuda"``.
+    absolute_gradients:
+        Whether :meth:`RenderOutput.screen_gradient` sums the gradients of the pixels without their signs (Ye et
+        al., AbsGS, 2024). For kind "3d".
     """
 
     kind: Kind = "3d"
     sh_degree: int | None = None
     near: float = 0.01
     backend: BackendName = "cpu"
+    absolute_gradients: bool = False
 
     def __post_init__(self) -> None:
         if not self.near > 0:
@@ -116,8 +121,8 @@ class RenderOutput:
         (C, N) int32: half size in pixels of the square around the projected centre that can be touched, 0 for
         Gaussians that are not drawn.
     means2d:
-        (C, N, 2) projected centres in pixels. Its gradient (``retain_grad``) is what density control reads: that
-        by a shift of the Gaussian's whole image, x -> x - shift, with its shape, depths and colour as they are.
+        (C, N, 2) projected centres in pixels. Its gradient (``retain_grad``) is that by a shift of the Gaussian's
+        whole image, x -> x - shift, with its shape, depths and colour as they are.
     normals:
         (C, H, W, 3) sum of the disks' unit normals times their shares, in camera axes, turned towards the camera;
         not normalised. None for kind "3d".
@@ -126,6 +131,8 @@ class RenderOutput:
         drawn, in squared scene units (Huang et al. 2024, equation 13, in the squared form of their supplement:
         intersections are not ordered along the ray; z itself in place of normalised device coordinates). None
         for kind "3d".
+    absolute:
+        With absolute gradients: a tensor whose gradient they become; None otherwise, and with backend "cuda".
     """
 
     colour: Tensor
@@ -136,6 +143,23 @@ class RenderOutput:
     means2d: Tensor
     normals: Tensor | None = None
     distortion: Tensor | None = None
+    absolute: Tensor | None = None
+
+    def screen_gradient(self) -> Tensor | None:
+        """Return what density control reads after a backward pass: (C, N, 2), or None where there was none.
+
+        The gradient by the projected centres, if it was retained; with absolute gradients, for both coordinates the
+        sum over the pixels of its absolute value, so that pulls to opposite sides do not cancel.
+        """
+        if self.absolute is not None:
+            return self.absolute.grad
+        absolute: Tensor | None = getattr(self.means2d, "absgrad", None)  # where gsplat leaves it
+        return self.means2d.grad if absolute is None else absolute
+
+
+def absolute_carrier(means2d: Tensor, settings: RasterSettings) -> Tensor | None:
+    """Return zeros like ``means2d`` for a backend to give the absolute gradients to, None without them."""
+    return torch.zeros_like(means2d, requires_grad=True) if settings.absolute_gradients else None
 
 
 Backend = Callable[[Gaussians, Views, RasterSettings, Tensor], RenderOutput]
@@ -175,6 +199,8 @@ def rasterize(
             expected=f"0 to {gaussians.sh_degree}, the degree that is stored",
             found=str(chosen.sh_degree),
         )
+    if chosen.absolute_gradients and chosen.kind != "3d":
+        raise CapabilityError("Absolute gradients are there for kind '3d' only", found=f"kind '{chosen.kind}'")
     if background is None:
         background = gaussians.means.new_zeros(3)
     if background.shape != (3,):

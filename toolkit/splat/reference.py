@@ -1,4 +1,4 @@
-"""The readable rasterizer: every Gaussian against every pixel, gradients by autograd.
+"""The readable rasterizer: every pixel against every Gaussian that may reach it, gradients by autograd.
 
 It is the twin that the fast backends are tested against, in float64, and the one to read first. The steps are
 those of Kerbl et al., 3D Gaussian Splatting (2023), sections 4 to 6, and Zwicker et al., EWA Splatting (2001).
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -24,13 +24,16 @@ from toolkit.splat.rasterize import (
     RasterSettings,
     RenderOutput,
     Views,
+    absolute_carrier,
 )
 from toolkit.splat.sh import eval_sh
 
 # Standard deviations at which the falloff of an opaque Gaussian is below 1/255: sqrt(2 ln 255) = 3.329.
 MAX_EXTENT = 3.33
-# Pixels times Gaussians that are evaluated at once: bounds the memory (about 20 arrays of this size).
-PAIRS_AT_ONCE = 1 << 22
+# Side in pixels of the squares that are done one by one; Gaussians that do not reach a square are left out there.
+BLOCK = 16
+# Pixels times Gaussians that are kept for the backward pass: bounds the memory (about 20 arrays of this size).
+PAIRS_KEPT = 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +79,21 @@ def rasterize_reference(
         for cam_from_world, intrinsics in zip(views.cam_from_world, views.intrinsics, strict=True)
     ]
     means2d, radii = of_all(len(gaussians), projected)
+    carrier = absolute_carrier(means2d, settings)
+    carriers = [None] * len(means2d) if carrier is None else list(carrier)
     images = [
-        blend(view, centres[view.index], background.to(dtype), views.width, views.height)
-        for view, centres in zip(projected, means2d, strict=True)
+        blend(
+            view,
+            centres[view.index],
+            background.to(dtype),
+            views.width,
+            views.height,
+            absolute=None if carried is None else carried[view.index],
+        )
+        for view, centres, carried in zip(projected, means2d, carriers, strict=True)
     ]
     colour, alpha, expected_depth, median_depth = (torch.stack(image) for image in zip(*images, strict=True))
-    return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d)
+    return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d, absolute=carrier)
 
 
 class Drawn(Protocol):
@@ -181,38 +193,81 @@ def _jacobian(means: Tensor, intrinsics: Tensor, views: Views) -> Tensor:
     return torch.stack(rows, dim=-1).reshape(-1, 2, 3)
 
 
+class _PerPixel(torch.autograd.Function):
+    """Centres (M, 2) repeated for a square's pixels; a second tensor gets the gradients without their signs."""
+
+    @staticmethod
+    def forward(ctx: Any, means2d: Tensor, absolute: Tensor, height: int, width: int) -> Tensor:
+        return means2d.expand(height, width, *means2d.shape)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        return gradients[0].sum((0, 1)), gradients[0].abs().sum((0, 1)), None, None
+
+
 def blend(
-    view: Projected, means2d: Tensor, background: Tensor, width: int, height: int
+    view: Projected,
+    means2d: Tensor,
+    background: Tensor,
+    width: int,
+    height: int,
+    *,
+    absolute: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return colour (H, W, 3), alpha, expected depth and median depth (H, W) of one view.
 
-    Rows of pixels are done in groups, each computed again in the backward pass, to bound the memory.
+    ``absolute`` (M, 2) gets the sum over pixels of the gradient by ``means2d`` without its sign. Where the pairs
+    are too many to be kept, each square is computed again in the backward pass.
     """
-    rows = max(1, PAIRS_AT_ONCE // max(1, width * len(view.index)))
-    groups = []
-    for top in range(0, height, rows):
-        bottom = min(height, top + rows)
-        arguments = (top, bottom, width, view, means2d, background)
-        if rows < height and torch.is_grad_enabled():
-            groups.append(checkpoint(_blend_rows, *arguments, use_reentrant=False, preserve_rng_state=False))
-        else:
-            groups.append(_blend_rows(*arguments))
-    colour, alpha, expected, median = (torch.cat(parts) for parts in zip(*groups, strict=True))
+    corners = [[(left, top) for left in range(0, width, BLOCK)] for top in range(0, height, BLOCK)]
+    reaching = [[_reaching(view, means2d, left, top) for left, top in row] for row in corners]
+    pairs = BLOCK**2 * sum(len(near) for row in reaching for near in row)
+    rows = []
+    for places, lists in zip(corners, reaching, strict=True):
+        squares = []
+        for (left, top), near in zip(places, lists, strict=True):
+            box = left, top, min(width, left + BLOCK), min(height, top + BLOCK)
+            arguments = box, near, view, means2d, background, absolute
+            if pairs > PAIRS_KEPT and torch.is_grad_enabled():
+                square = checkpoint(_blend_square, *arguments, use_reentrant=False, preserve_rng_state=False)
+            else:
+                square = _blend_square(*arguments)
+            squares.append(square)
+        rows.append([torch.cat(parts, dim=1) for parts in zip(*squares, strict=True)])
+    colour, alpha, expected, median = (torch.cat(parts) for parts in zip(*rows, strict=True))
     return colour, alpha, expected, median
 
 
-def _blend_rows(
-    top: int, bottom: int, width: int, view: Projected, means2d: Tensor, background: Tensor
+@torch.no_grad()
+def _reaching(view: Projected, means2d: Tensor, left: int, top: int) -> Tensor:
+    """Return which Gaussians, nearest first, may be drawn in the square with this corner."""
+    corner = means2d.new_tensor([left, top])
+    apart = (means2d - (corner + BLOCK / 2)).abs().amax(-1)
+    return torch.nonzero(apart <= view.radii + BLOCK / 2)[:, 0]
+
+
+def _blend_square(
+    box: tuple[int, int, int, int],
+    near: Tensor,
+    view: Projected,
+    means2d: Tensor,
+    background: Tensor,
+    absolute: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Blend the pixels of rows top to bottom - 1, front to back."""
+    """Blend the Gaussians ``near`` in the pixels of a box (left, top, right, bottom), front to back."""
+    left, top, right, bottom = box
     ys = torch.arange(top, bottom, dtype=means2d.dtype, device=means2d.device) + 0.5
-    xs = torch.arange(width, dtype=means2d.dtype, device=means2d.device) + 0.5
-    dx = xs[None, :, None] - means2d[:, 0]  # (1, W, M)
-    dy = ys[:, None, None] - means2d[:, 1]  # (rows, 1, M)
-    xx, xy, yy = view.conics.unbind(-1)
-    power = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy  # (rows, W, M)
+    xs = torch.arange(left, right, dtype=means2d.dtype, device=means2d.device) + 0.5
+    centres = means2d[near]
+    if absolute is not None:
+        centres = _PerPixel.apply(centres, absolute[near], len(ys), len(xs))
+    dx = xs[None, :, None] - centres[..., 0]  # (1, W, M), or (H, W, M)
+    dy = ys[:, None, None] - centres[..., 1]  # (H, 1, M), or (H, W, M)
+    depths = view.depths[near]
+    xx, xy, yy = view.conics[near].unbind(-1)
+    power = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy  # (H, W, M)
     # The power cannot be negative; rounding can make it so for needles.
-    alpha = (view.opacities * torch.exp(-power.clamp(min=0))).clamp(max=ALPHA_MAX)
+    alpha = (view.opacities[near] * torch.exp(-power.clamp(min=0))).clamp(max=ALPHA_MAX)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
 
     # The transmittance never grows, so what follows the one that would end the pixel fails this test too.
@@ -220,18 +275,18 @@ def _blend_rows(
     alpha = torch.where(unfinished, alpha, torch.zeros_like(alpha))
     behind = torch.cumprod(1 - alpha, dim=-1)
     in_front = behind.new_ones(*behind.shape[:-1], 1)
-    transmittance = torch.cat([in_front, behind], dim=-1)  # (rows, W, M + 1)
+    transmittance = torch.cat([in_front, behind], dim=-1)  # (H, W, M + 1)
     before, final = transmittance[..., :-1], transmittance[..., -1]
     weights = alpha * before
 
-    colour = weights @ view.colours + final[..., None] * background
+    colour = weights @ view.colours[near] + final[..., None] * background
     total = weights.sum(-1)
     drawn = total > 0
-    depth = (weights @ view.depths) / torch.where(drawn, total, torch.ones_like(total))
+    depth = (weights @ depths) / torch.where(drawn, total, torch.ones_like(total))
     with torch.no_grad():
         # The last one that was drawn while more than half of the light was left.
         count = torch.arange(1, alpha.shape[-1] + 1, device=alpha.device)
         last = torch.where((alpha > 0) & (before > 0.5), count, torch.zeros_like(count))
         last = torch.cat([last.new_zeros(*last.shape[:-1], 1), last], dim=-1).amax(-1)
-        median = torch.cat([view.depths.new_zeros(1), view.depths])[last]
+        median = torch.cat([depths.new_zeros(1), depths])[last]
     return colour, 1 - final, depth, median

@@ -6,12 +6,14 @@ equals the uninterrupted one to the bit on the same machine, build and number of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from toolkit.errors import CapabilityError
+from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
 from toolkit.splat.checkpoint import load_newest, require_same
@@ -20,9 +22,11 @@ from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo, load_photos
 from toolkit.splat.initialise import scene_extent
 from toolkit.splat.memory import free_memory, most_gaussians
-from toolkit.splat.train_settings import TrainSettings
+from toolkit.splat.pose_refine import PoseTargets, pose_change
+from toolkit.splat.train_settings import Schedule, TrainSettings
 from toolkit.splat.train_state import HistoryRow, TrainState, scene_fingerprint
 from toolkit.splat.trainer import STAGE, Trainer
+from toolkit.splat.warm_up import warm_up
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +42,8 @@ class TrainResult:
     history:
         A row a step.
     seconds:
-        Wall time of the steps, over all sessions, by what it was spent on: photo, forward, loss, backward,
-        optimiser, density, evaluation, checkpoint.
+        Wall time, over all sessions, by what it was spent on: compile (of the kernels, before the first step),
+        photo, forward, loss, backward, optimiser, density, evaluation, checkpoint.
     extent:
         Of the scene, the unit of sizes and learning rates.
     changes:
@@ -54,6 +58,11 @@ class TrainResult:
         What a person should know, for example that a damaged checkpoint was passed over.
     exposures:
         With exposure: the colour change of each training photo by its name, three rows of four numbers.
+    poses:
+        With refine_poses: the refined pose of each training photo by its name. The Gaussians belong to these; the
+        world as a whole may have moved with them (:mod:`toolkit.splat.align_test`).
+    pose_changes:
+        By how much each of them moved, in scene units, and turned, in degrees.
     """
 
     gaussians: Gaussians
@@ -67,10 +76,13 @@ class TrainResult:
     resumed_at: int = 0
     notes: tuple[str, ...] = ()
     exposures: dict[str, list[list[float]]] = field(default_factory=dict)
+    poses: dict[str, RigidTransform] = field(default_factory=dict)
+    pose_changes: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the Gaussians' values, ready for JSON."""
         total = sum(self.seconds.values())
+        stepping = total - self.seconds.get("compile", 0.0)
         return {
             "steps": self.steps,
             "gaussians": len(self.gaussians),
@@ -81,11 +93,22 @@ class TrainResult:
             "changes": asdict(self.changes),
             "seconds": total,
             "seconds_by_part": dict(self.seconds),
-            "step_ms": 1e3 * total / max(1, self.steps),
+            "step_ms": 1e3 * stepping / max(1, self.steps),
             "resumed_at": self.resumed_at,
             "notes": list(self.notes),
             **({"exposures": self.exposures} if self.exposures else {}),
+            **({"poses": self._poses_to_dict()} if self.poses else {}),
             "history": [asdict(row) for row in self.history],
+        }
+
+    def _poses_to_dict(self) -> dict[str, Any]:
+        return {
+            name: {
+                "cam_from_world": pose.matrix.tolist(),
+                "moved": self.pose_changes[name][0],
+                "turned_deg": self.pose_changes[name][1],
+            }
+            for name, pose in self.poses.items()
         }
 
 
@@ -157,7 +180,11 @@ def train_splats(
     message = " ".join([*notes, f"resumed at step {resumed_at}" if resumed_at else ""]).strip()
     progress(ProgressEvent(STAGE, resumed_at, settings.steps, message))
 
-    Trainer(state, settings, extent, photos, test_photo).run(progress, checkpoint_dir, made_with)
+    if state.step < settings.steps:
+        state.seconds["compile"] = state.seconds.get("compile", 0.0) + warm_up(settings)
+    targets = _pose_targets(scene, settings, extent)
+    Trainer(state, settings, extent, photos, test_photo, targets).run(progress, checkpoint_dir, made_with)
+    poses = _poses(state, photos)
     return TrainResult(
         gaussians=state.optimiser.gaussians.detach(),
         steps=state.step,
@@ -170,7 +197,22 @@ def train_splats(
         resumed_at=resumed_at,
         notes=notes,
         exposures=_exposures(state, photos),
+        poses=poses,
+        pose_changes={
+            frame.name: pose_change(frame.cam_from_world, poses[frame.name])
+            for frame in scene.of_split("train")
+            if frame.cam_from_world is not None and frame.name in poses
+        },
     )
+
+
+def refined_scene(scene: Scene, result: TrainResult) -> Scene:
+    """Return the scene that was trained on, with the refined poses of its training frames.
+
+    Test frames stay where they are; :func:`toolkit.splat.align_test.aligned_test_scene` moves them along.
+    """
+    frames = (replace(f, cam_from_world=result.poses.get(f.name, f.cam_from_world)) for f in scene.frames)
+    return scene.replace(frames=tuple(frames))
 
 
 def _check_device(settings: TrainSettings, device: str) -> None:
@@ -179,6 +221,8 @@ def _check_device(settings: TrainSettings, device: str) -> None:
             f"Backend '{settings.backend}' does not work on device '{device}'",
             expected="backend 'cuda' with device 'cuda', another one with device 'cpu'",
         )
+    if settings.kind == "2d" and settings.absolute_gradients:
+        raise CapabilityError("Absolute gradients are there for ellipsoids only", expected="kind '3d'")
     if settings.kind == "2d" and settings.density == "mcmc":
         raise CapabilityError(
             "Density 'mcmc' moves ellipsoids, not disks", expected="density 'adaptive' with kind '2d'"
@@ -195,6 +239,21 @@ def _exposures(state: TrainState, photos: Iterable[Photo]) -> dict[str, list[lis
     return {photo.name: rows.tolist() for photo, rows in zip(photos, state.exposure.affine, strict=True)}
 
 
+def _poses(state: TrainState, photos: Iterable[Photo]) -> dict[str, RigidTransform]:
+    if state.poses is None:
+        return {}
+    return {photo.name: pose for photo, pose in zip(photos, state.poses.transforms(), strict=True)}
+
+
+def _pose_targets(scene: Scene, settings: TrainSettings, extent: float) -> PoseTargets | None:
+    """Return where poses are pulled to, None where they are not."""
+    if not settings.refine_poses or settings.pose_prior_weight == 0:
+        return None
+    make = PoseTargets.sensors if settings.pose_prior == "sensor" else PoseTargets.start_poses
+    turn = math.radians(settings.pose_rotation_sigma)
+    return make(scene.of_split("train"), settings.pose_position_sigma * extent, turn)
+
+
 def _notes(scene: Scene, settings: TrainSettings, wanted: int) -> tuple[str, ...]:
     """Return what of a scene is left out, and whether fewer Gaussians are allowed than were wanted."""
     notes = []
@@ -203,8 +262,10 @@ def _notes(scene: Scene, settings: TrainSettings, wanted: int) -> tuple[str, ...
     if posed < train:
         notes.append(f"{train - posed} of {train} training frames have no pose and are left out.")
     points = 0 if scene.points is None else len(scene.points)
-    if points > settings.max_gaussians:
-        notes.append(f"{settings.max_gaussians} of {points} points are used, by chance: max_gaussians.")
+    most = Schedule.of(settings).most_gaussians_at(1)
+    if points > most:
+        cap = "max_gaussians" if most == settings.max_gaussians else "early_max_gaussians"
+        notes.append(f"{most} of {points} points are used, by chance: {cap}.")
     if settings.max_gaussians < wanted:
         notes.append(f"At most {settings.max_gaussians} Gaussians instead of {wanted}: the memory holds no more.")
     return tuple(notes)

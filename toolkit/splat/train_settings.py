@@ -11,6 +11,8 @@ from toolkit.settings import Boolean, Choice, Integer, Number, Settings
 _ROUNDS = 12
 # In runs shorter than this fewer Gaussians are added: the threshold for gradients rises.
 _FULL_STEPS = 3000
+# How much larger gradients summed without their signs are, roughly.
+_ABSOLUTE_FACTOR = 4.0
 # More than any machine holds.
 MOST_GAUSSIANS = 50_000_000
 
@@ -73,6 +75,11 @@ class TrainSettings(Settings):
     )
     initial_opacity = Number(0.1, bounds=(0.001, 0.99), doc="Opacity of the Gaussians made from points.")
 
+    update = Choice(
+        "all",
+        choices=("all", "visible"),
+        doc="all: every Gaussian follows its momentum in each step; visible: those not in the photo rest.",
+    )
     lr_means = Number(
         1.6e-4, bounds=(0.0, 1.0), unit="scene extents", doc="Learning rate of centres at the first step."
     )
@@ -92,6 +99,53 @@ class TrainSettings(Settings):
     )
     lr_exposure = Number(1e-3, bounds=(0.0, 1.0), doc="Learning rate of the photos' colour changes.")
 
+    refine_poses = Boolean(
+        False, doc="Learn the training photos' poses with the Gaussians (NoposeGS, Schmidt et al. 2024)."
+    )
+    lr_camera = Number(
+        1e-3,
+        bounds=(0.0, 1.0),
+        unit="scene extents and radians",
+        doc="Learning rate of poses at the first step, in translation and rotation alike.",
+    )
+    lr_camera_final = Number(1e-5, bounds=(0.0, 1.0), doc="... at the last; exponential in between.")
+    pose_start = Number(
+        0.0,
+        bounds=(0.0, 1.0),
+        unit="of steps",
+        doc="Poses rest up to here, while the Gaussians find their colours.",
+    )
+    pose_stop = Number(1.0, bounds=(0.0, 1.0), unit="of steps", doc="... and from here on.")
+    pose_prior = Choice(
+        "start",
+        choices=("start", "sensor"),
+        doc="Where poses are pulled to: where they started, or what sensors said (in the scene's frame).",
+    )
+    pose_prior_weight = Number(
+        0.0,
+        bounds=(0.0, 1e6),
+        doc="Weight of that pull: of the mean square of a pose's deviations in sigmas; 0: none.",
+    )
+    pose_position_sigma = Number(
+        0.01, bounds=(1e-9, 100.0), unit="scene extents", doc="Sigma of positions where no sensor tells its own."
+    )
+    pose_rotation_sigma = Number(
+        1.0, bounds=(1e-6, 180.0), unit="degrees", doc="Sigma of orientations where no sensor tells its own."
+    )
+    refine_test_steps = Integer(
+        0,
+        bounds=(0, 100_000),
+        unit="steps",
+        doc="After the training, steps on the pose of each test photo against the finished Gaussians, for measures "
+        "of their own beside those with poses that no test photo had a part in; 0: not measured.",
+    )
+    opacity_cost = Number(0.0, bounds=(0.0, 10.0), doc="Weight of the mean opacity in the loss; NoposeGS: 0.01.")
+    max_anisotropy = Number(
+        0.0,
+        bounds=(0.0, 1e6),
+        doc="Gaussians longer than this many times their thickness cost their excess; 0: none do; NoposeGS: 10.",
+    )
+
     density = Choice(
         "adaptive",
         choices=("adaptive", "mcmc"),
@@ -108,6 +162,11 @@ class TrainSettings(Settings):
         bounds=(0.0, 1.0),
         doc="Gaussians whose mean screen-space gradient (per half image side) exceeds this are densified; "
         "times the root of 3000 / steps in shorter runs.",
+    )
+    absolute_gradients = Boolean(
+        False,
+        doc="Sum the pixels' gradients without their signs, so that large Gaussians over fine texture are split, "
+        "too (Ye et al., AbsGS, 2024); they are larger then, so the threshold is raised fourfold.",
     )
     clone_scale = Number(
         0.01, bounds=(0.0, 10.0), unit="scene extents", doc="Up to this size they are cloned, above it split."
@@ -126,6 +185,14 @@ class TrainSettings(Settings):
         150_000,
         bounds=(4, MOST_GAUSSIANS),
         doc="Never more than these, or than fit into the memory; the highest gradients go first.",
+    )
+    early_max_gaussians = Integer(
+        0,
+        bounds=(0, MOST_GAUSSIANS),
+        doc="Never more than these up to early_until, so that poses settle before details do; 0: max_gaussians.",
+    )
+    early_until = Number(
+        0.333, bounds=(0.0, 1.0), unit="of steps", doc="... NoposeGS: 10,000 of 30,000 steps, with 256,000."
     )
     mcmc_growth = Number(0.05, bounds=(0.0, 1.0), unit="of Gaussians", doc="mcmc: added in each round.")
     mcmc_noise = Number(5e5, bounds=(0.0, 1e9), doc="mcmc: strength of the noise on centres; 0: none.")
@@ -153,7 +220,8 @@ class Schedule:
     densify_every:
         ... at this interval: the setting, or a twelfth of that span where that is shorter.
     grad_threshold:
-        The setting, in runs of fewer than 3000 steps times the root of 3000 / steps.
+        The setting, in runs of fewer than 3000 steps times the root of 3000 / steps, with absolute gradients
+        times 4.
     reset_every:
         Opacities are set back at multiples of this up to ``densify_last``; 0, and with mcmc: never.
     sh_every:
@@ -169,6 +237,10 @@ class Schedule:
         Weight of the spread of depths; 0 with kind 3d.
     quarter_last, half_last:
         Up to these steps photos have a quarter, then a half, of their sides; 0, 0 without coarse to fine.
+    pose_first, pose_last:
+        Poses are learned in steps in ``(pose_first, pose_last]``; 0, 0 where they are not.
+    most_gaussians, early_most, early_last:
+        The cap on their number, and the cap up to step ``early_last``.
     """
 
     steps: int
@@ -185,6 +257,11 @@ class Schedule:
     distortion_weight: float
     quarter_last: int
     half_last: int
+    pose_first: int
+    pose_last: int
+    most_gaussians: int
+    early_most: int
+    early_last: int
 
     @classmethod
     def of(cls, settings: TrainSettings) -> Schedule:
@@ -197,7 +274,7 @@ class Schedule:
             densify_first=first,
             densify_last=last,
             densify_every=max(1, min(settings.densify_every, (last - first) // _ROUNDS)),
-            grad_threshold=settings.grad_threshold * math.sqrt(max(1.0, _FULL_STEPS / settings.steps)),
+            grad_threshold=_grad_threshold(settings),
             reset_every=settings.reset_every if adaptive else 0,
             sh_every=max(1, min(settings.sh_every, settings.steps // 6)),
             sh_degree=settings.sh_degree,
@@ -207,6 +284,11 @@ class Schedule:
             distortion_weight=settings.distortion_weight if settings.kind == "2d" else 0.0,
             quarter_last=round(settings.coarse_quarter * settings.steps) if coarse else 0,
             half_last=round(settings.coarse_half * settings.steps) if coarse else 0,
+            pose_first=round(settings.pose_start * settings.steps) if settings.refine_poses else 0,
+            pose_last=round(settings.pose_stop * settings.steps) if settings.refine_poses else 0,
+            most_gaussians=settings.max_gaussians,
+            early_most=min(settings.early_max_gaussians or settings.max_gaussians, settings.max_gaussians),
+            early_last=round(settings.early_until * settings.steps) if settings.early_max_gaussians else 0,
         )
 
     def densifies_after(self, step: int) -> bool:
@@ -236,15 +318,37 @@ class Schedule:
             return 4
         return 2 if step <= self.half_last else 1
 
+    def moves_poses_in(self, step: int) -> bool:
+        """Say whether the pose of this step's photo is learned."""
+        return self.pose_first < step <= self.pose_last
+
+    def most_gaussians_at(self, step: int) -> int:
+        """Return how many Gaussians there may be after this step."""
+        return self.early_most if step <= self.early_last else self.most_gaussians
+
     def sh_degree_at(self, step: int) -> int:
         """Return the degree with which this step is drawn."""
         return min(self.sh_degree, (step - 1) // self.sh_every)
 
 
+def _grad_threshold(settings: TrainSettings) -> float:
+    unsigned = _ABSOLUTE_FACTOR if settings.absolute_gradients else 1.0
+    return settings.grad_threshold * unsigned * math.sqrt(max(1.0, _FULL_STEPS / settings.steps))
+
+
 def means_rate(settings: TrainSettings, step: int) -> float:
     """Return the learning rate of centres at a step, in scene extents: exponential from first to last step."""
-    first, last = settings.lr_means, settings.lr_means_final
-    if settings.steps == 1 or first == 0 or last == 0:
+    return decayed(settings.lr_means, settings.lr_means_final, step, settings.steps)
+
+
+def camera_rate(settings: TrainSettings, step: int) -> float:
+    """Return the learning rate of poses at a step: exponential from first to last step of the run."""
+    return decayed(settings.lr_camera, settings.lr_camera_final, step, settings.steps)
+
+
+def decayed(first: float, last: float, step: int, steps: int) -> float:
+    """Return ``first`` at step 1, ``last`` at step ``steps``, exponential between; where one is 0, ``first``."""
+    if steps == 1 or first == 0 or last == 0:
         return first
-    share = (step - 1) / (settings.steps - 1)
+    share = (step - 1) / (steps - 1)
     return math.exp((1 - share) * math.log(first) + share * math.log(last))

@@ -21,7 +21,8 @@ from toolkit.splat.images import Photo
 from toolkit.splat.initialise import gaussians_from_points
 from toolkit.splat.mcmc import McmcControl
 from toolkit.splat.optimiser import GaussianOptimiser, require_finite
-from toolkit.splat.train_settings import TrainSettings
+from toolkit.splat.pose_refine import PoseRefinement
+from toolkit.splat.train_settings import Schedule, TrainSettings
 
 # Third scale of a disk, in scene extents.
 _THICKNESS = 1e-7
@@ -76,6 +77,8 @@ class TrainState:
         The cap on their number: that of the settings, or of the memory when the run began.
     exposure:
         Colour changes of the photos, where they are learned.
+    poses:
+        Poses of the photos, where they are learned.
     """
 
     optimiser: GaussianOptimiser
@@ -90,6 +93,7 @@ class TrainState:
     initial_gaussians: int = 0
     most_gaussians: int = 0
     exposure: Exposure | None = None
+    poses: PoseRefinement | None = None
 
     @classmethod
     def start(
@@ -98,7 +102,7 @@ class TrainState:
         """Return the state before the first step. ``settings.max_gaussians`` must fit into the memory."""
         generator = torch.Generator().manual_seed(seed)
         gaussians = gaussians_from_points(scene.points, opacity=settings.initial_opacity)
-        gaussians = _at_most(gaussians, settings.max_gaussians, generator).to(device=device)
+        gaussians = _at_most(gaussians, Schedule.of(settings).most_gaussians_at(1), generator).to(device=device)
         if settings.kind == "2d":
             gaussians = flattened(gaussians, extent)
         return cls(
@@ -109,6 +113,7 @@ class TrainState:
             initial_gaussians=len(gaussians),
             most_gaussians=settings.max_gaussians,
             exposure=Exposure.start(photos, device) if settings.exposure else None,
+            poses=_start_poses(scene) if settings.refine_poses else None,
         )
 
     def next_photo(self) -> int:
@@ -131,6 +136,7 @@ class TrainState:
             **self.optimiser.tensors(),
             **self.density.tensors(),
             **({} if self.exposure is None else self.exposure.tensors()),
+            **({} if self.poses is None else self.poses.tensors()),
             "generator": self.generator.get_state(),
             "order": self.order,
         }
@@ -169,7 +175,13 @@ class TrainState:
             initial_gaussians=checkpoint.state["initial_gaussians"],
             most_gaussians=settings.max_gaussians,
             exposure=Exposure.from_tensors(checkpoint.tensors, device) if settings.exposure else None,
+            poses=PoseRefinement.from_tensors(checkpoint.tensors) if settings.refine_poses else None,
         )
+
+
+def _start_poses(scene: Scene) -> PoseRefinement:
+    poses = (frame.cam_from_world for frame in scene.of_split("train"))
+    return PoseRefinement.start([pose for pose in poses if pose is not None])
 
 
 def _density_type(settings: TrainSettings) -> type[DensityControl] | type[McmcControl]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,11 +18,14 @@ from toolkit.progress import Progress, ProgressEvent
 from toolkit.splat.checkpoint import save_checkpoint
 from toolkit.splat.evaluate import draw, fixed_background, raster_settings
 from toolkit.splat.exposure import expose
+from toolkit.splat.gaussian_costs import anisotropy_excess, mean_opacity
+from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, Pyramid
 from toolkit.splat.loss import photometric_loss
+from toolkit.splat.pose_refine import PoseTargets, xi_rates
 from toolkit.splat.rasterize import RenderOutput, rasterize
 from toolkit.splat.regularise import depth_distortion, normal_consistency
-from toolkit.splat.train_settings import Schedule, TrainSettings
+from toolkit.splat.train_settings import Schedule, TrainSettings, camera_rate
 from toolkit.splat.train_state import HistoryRow, TrainState
 
 STAGE: Final = "splat.train"
@@ -38,9 +42,11 @@ class Trainer:
         extent: float,
         photos: tuple[Photo, ...],
         test_photo: Photo | None,
+        pose_targets: PoseTargets | None = None,
     ) -> None:
         self.state, self.settings, self.extent = state, settings, extent
         self.photos, self.test_photo = Pyramid(photos), test_photo
+        self.pose_targets = pose_targets
         self.schedule = Schedule.of(settings)
 
     def run(self, progress: Progress, folder: Path | None, made_with: dict[str, Any]) -> None:
@@ -93,6 +99,7 @@ class Trainer:
         with self._clock("photo"):
             photo = self.photos.photo(index, self.schedule.shrink_at(step))
             target, weights = photo.colours(device), photo.weights(device)
+            photo, xi, pull = self._posed(photo, index, step)
         with self._clock("forward"):
             output = rasterize(
                 gaussians, photo.views, raster_settings(settings), background=self._background(gaussians.means)
@@ -104,20 +111,46 @@ class Trainer:
             loss = photometric_loss(render, target, lambda_dssim=settings.lambda_dssim, weights=weights)
             value = float(loss.detach())
             cost = _sum(state.density.cost(gaussians), self._surface_cost(output, photo, step))
+            cost = _sum(_sum(cost, self._shape_cost(gaussians)), pull)
         _require_finite(value, photo, step)
         with self._clock("backward"):
             (loss if cost is None else loss + cost).backward()
-        if self.schedule.observes(step) and output.means2d.grad is not None:
+        screen_gradient = output.screen_gradient() if self.schedule.observes(step) else None
+        if screen_gradient is not None:
             with self._clock("density"):
                 camera = photo.camera
-                state.density.observe(output.means2d.grad, output.radii, camera.width, camera.height)
+                state.density.observe(screen_gradient, output.radii, camera.width, camera.height)
         with self._clock("optimiser"):
-            state.optimiser.step(settings, self.extent, step)
+            drawn = (output.radii > 0).any(dim=0) if settings.update == "visible" else None
+            state.optimiser.step(settings, self.extent, step, drawn=drawn)
             if state.exposure is not None and affine is not None and affine.grad is not None:
                 state.exposure.step(index, affine.grad, settings.lr_exposure, step)
+            if state.poses is not None and xi is not None and xi.grad is not None:
+                state.poses.step(index, xi.grad, xi_rates(camera_rate(settings, step), self.extent), step)
         with self._clock("density"):
             state.density.after_step(state.optimiser, state.generator, step)
         return value
+
+    def _posed(self, photo: Photo, index: int, step: int) -> tuple[Photo, Tensor | None, Tensor | None]:
+        """Return the photo with its learned pose, the 6-vector where it moves now, and what pulls the pose back."""
+        poses, targets = self.state.poses, self.pose_targets
+        if poses is None:
+            return photo, None, None
+        xi, pose = poses.of_photo(index)
+        moves = self.schedule.moves_poses_in(step)
+        if not moves:
+            pose = pose.detach()
+        posed = replace(photo.views, cam_from_world=pose[None].to(photo.views.cam_from_world))
+        pull = self.settings.pose_prior_weight * targets.cost(index, pose) if moves and targets else None
+        return replace(photo, views=posed), xi if moves else None, pull
+
+    def _shape_cost(self, gaussians: Gaussians) -> Tensor | None:
+        """Return what keeps Gaussians faint and round, None where nothing is asked for."""
+        settings = self.settings
+        faint = settings.opacity_cost * mean_opacity(gaussians) if settings.opacity_cost > 0 else None
+        if settings.max_anisotropy == 0:
+            return faint
+        return _sum(faint, anisotropy_excess(gaussians, settings.max_anisotropy, settings.kind))
 
     def _surface_cost(self, output: RenderOutput, photo: Photo, step: int) -> Tensor | None:
         """Return what holds disks to surfaces, None where nothing is asked for (Huang et al. 2024, section 5)."""
@@ -129,7 +162,10 @@ class Trainer:
         state, schedule = self.state, self.schedule
         if schedule.densifies_after(step):
             state.changes += state.density.refine(
-                state.optimiser, state.generator, prune_large=schedule.prunes_large_after(step)
+                state.optimiser,
+                state.generator,
+                prune_large=schedule.prunes_large_after(step),
+                most=schedule.most_gaussians_at(step),
             )
         if schedule.resets_after(step):
             state.density.set_opacities_back(state.optimiser)

@@ -21,7 +21,7 @@ from toolkit.splat.cpu.projection import camera_rows, project
 from toolkit.splat.cpu.projection_backward import project_backward
 from toolkit.splat.cpu.tiles import TileLists, build_tile_lists
 from toolkit.splat.gaussians import Gaussians
-from toolkit.splat.rasterize import RasterSettings, RenderOutput, Views
+from toolkit.splat.rasterize import RasterSettings, RenderOutput, Views, absolute_carrier
 
 Array = np.ndarray[Any, Any]
 
@@ -49,10 +49,11 @@ def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, 
         (settings.near, degree),
         Projection(project, project_backward, 8),
     )
+    carrier = absolute_carrier(means2d, settings)
     colour, alpha, expected_depth, median_depth = _Blend.apply(
-        means2d, splats, background.to(torch.float32), factors, radii, (views.width, views.height)
+        means2d, splats, background.to(torch.float32), factors, radii, (views.width, views.height), carrier
     )
-    return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d)
+    return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d, absolute=carrier)
 
 
 def check_inputs(gaussians: Gaussians, views: Views, background: Tensor) -> None:
@@ -166,6 +167,7 @@ class _Blend(torch.autograd.Function):
         factors: Tensor,
         radii: Tensor,
         size: tuple[int, int],
+        absolute: Tensor | None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         width, height = size
         number = len(means2d)
@@ -185,7 +187,7 @@ class _Blend(torch.autograd.Function):
                     blend(view, as_array(background), (images[0][c], images[1][c], images[2][c], images[3][c]))
                 )
         ctx.save_for_backward(colour, alpha, depth)
-        ctx.lists, ctx.used, ctx.shape = lists, used, means2d.shape[:2]
+        ctx.lists, ctx.used, ctx.shape, ctx.absolute = lists, used, means2d.shape[:2], absolute is not None
         ctx.mark_non_differentiable(median)
         return colour, alpha, depth, median
 
@@ -197,6 +199,7 @@ class _Blend(torch.autograd.Function):
         by_background = np.zeros(3)
         images = [as_array(tensor) for tensor in (colour, alpha, depth)]
         by_images = [as_array(tensor) for tensor in gradients[:3]]
+        absolute = colour.new_zeros(*ctx.shape, 2) if ctx.absolute else None
         arrays = [as_array(tensor) for tensor in (by_means2d, by_splats)]
         with launching():
             for c, (lists, used) in enumerate(zip(ctx.lists, ctx.used, strict=True)):
@@ -207,5 +210,7 @@ class _Blend(torch.autograd.Function):
                     (by_images[0][c], by_images[1][c], by_images[2][c]),
                     arrays[0][c],
                     arrays[1][c],
+                    None if absolute is None else as_array(absolute)[c],
                 )
-        return by_means2d, by_splats, torch.from_numpy(by_background).to(torch.float32), None, None, None
+        background_gradient = torch.from_numpy(by_background).to(torch.float32)
+        return by_means2d, by_splats, background_gradient, None, None, None, absolute

@@ -10,6 +10,9 @@ stored but the tile lists.
 
 The falloff's gradient is summed in the frame (u, v) = L^T (pixel - mean), where it needs no inverse covariance:
 with g = alpha dL/dalpha it is dL/dmean = L sum g (u, v) and dL/dcovariance = L (sum g (u, v) (u, v)^T) L^T / 2.
+
+Where absolute gradients are asked for, the sum over the pixels of |L g (u, v)|, both components apart, goes beside
+it. Kernels get None otherwise and are compiled without it.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from toolkit.splat.cpu.footprint import FIRST_RUN, MOST_RUNS, PIXELS, STRIDE, li
 from toolkit.splat.cpu.forward import clear_transmittance, scattered
 from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import HALF_LOG2_E_ROOT, LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import exp2, fma, fnma, lanes, select, smaller, some, splat, sums, total
+from toolkit.splat.cpu.simd import exp2, fma, fnma, lanes, larger, select, smaller, some, splat, sums, total
 from toolkit.splat.cpu.simd_memory import load, prefetch, store, store_row
 from toolkit.splat.cpu.tiles import (
     AHEAD,
@@ -90,6 +93,7 @@ def _blend_tile_backward(
     images: tuple[Array, Array, Array],
     gradients: tuple[Array, Array, Array],
     slots: Array,
+    absolute_slots: Array | None,
     background_gradient: Array,
 ) -> None:
     """Fill the slots of the entries of one tile."""
@@ -111,6 +115,7 @@ def _blend_tile_backward(
         zero, one = splat(0.0), splat(1.0)
         d_red, d_green, d_blue, d_depth = zero, zero, zero, zero
         g_sum, g_u, g_v, g_uu, g_uv, g_vv = zero, zero, zero, zero, zero, zero
+        g_x, g_y = zero, zero
         for k in range(np.uint64(FIRST_RUN), end):
             place = places[k]
             before = load(transmittance, place)
@@ -142,6 +147,9 @@ def _blend_tile_backward(
             gu, gv = g * u, g * v
             g_sum, g_u, g_v = g_sum + g, g_u + gu, g_v + gv
             g_uu, g_uv, g_vv = fma(gu, u, g_uu), fma(gu, v, g_uv), fma(gv, v, g_vv)
+            if absolute_slots is not None:
+                by_y = fma(gu, splat(records[rank, FACTOR_YX]), gv * records[rank, FACTOR_YY])
+                g_x, g_y = g_x + larger(gu, zero - gu), g_y + larger(by_y, zero - by_y)
             after = select(drawn, after, before)
             if some(finished):
                 after = select(finished, zero - before, after)
@@ -149,6 +157,9 @@ def _blend_tile_backward(
         slot = np.uint64(entries[entry, 1])
         store_row(slots, slot, sums(d_red, d_green, d_blue, d_depth, g_sum, g_u, g_v, g_uu))
         slots[slot, np.uint64(8)], slots[slot, np.uint64(9)] = total(g_uv), total(g_vv)
+        if absolute_slots is not None:
+            absolute_slots[slot, 0] = total(g_x) * abs(records[rank, FACTOR_XX])
+            absolute_slots[slot, 1] = total(g_y)
 
 
 @parallel_kernel
@@ -161,6 +172,7 @@ def _blend_backward(
     images: tuple[Array, Array, Array],
     gradients: tuple[Array, Array, Array],
     slots: Array,
+    absolute_slots: Array | None,
     background_gradients: Array,
 ) -> None:
     """Fill the slots of all tiles; those of entries that the forward pass did not reach become zero."""
@@ -170,10 +182,15 @@ def _blend_backward(
         left, top = (tile % columns) * TILE_WIDTH, (tile // columns) * TILE_HEIGHT
         start, end = starts[tile], starts[tile + 1]
         own = entries[start : start + used[tile]]
-        _blend_tile_backward(left, top, records, own, images, gradients, slots, background_gradients[tile])
+        _blend_tile_backward(
+            left, top, records, own, images, gradients, slots, absolute_slots, background_gradients[tile]
+        )
         for entry in range(start + used[tile], end):
             for k in range(SLOT):
                 slots[entries[entry, 1], k] = np.float32(0)
+            if absolute_slots is not None:
+                absolute_slots[entries[entry, 1], 0] = np.float32(0)
+                absolute_slots[entries[entry, 1], 1] = np.float32(0)
 
 
 @kernel
@@ -225,6 +242,17 @@ def _add_all_slots(
         _add_slots(np.int64(rank), order, first_slots, slots, records, by_means2d, by_splats)
 
 
+@parallel_kernel
+def _add_absolute_slots(order: Array, first_slots: Array, slots: Array, absolute: Array) -> None:
+    """Add up the absolute gradients by each Gaussian's centre."""
+    unit = np.float32(1 / HALF_LOG2_E_ROOT**2)
+    for rank in prange(len(order)):
+        x, y = np.float32(0), np.float32(0)
+        for slot in range(np.uint64(first_slots[rank]), np.uint64(first_slots[rank + 1])):
+            x, y = x + slots[slot, 0], y + slots[slot, 1]
+        absolute[order[rank], 0], absolute[order[rank], 1] = unit * x, unit * y
+
+
 def blend_backward(
     lists: TileLists,
     used: Array,
@@ -232,6 +260,7 @@ def blend_backward(
     gradients: tuple[Array, Array, Array],
     means2d_gradient: Array,
     splats_gradient: Array,
+    absolute_gradient: Array | None = None,
 ) -> Array:
     """Differentiate the blending of one view.
 
@@ -243,6 +272,8 @@ def blend_backward(
         Colour (H, W, 3), alpha (H, W), expected depth (H, W), and the loss's gradients by them; contiguous.
     means2d_gradient, splats_gradient:
         (N, 2) and (N, 8) zeros, to be filled.
+    absolute_gradient:
+        (N, 2) zeros, to be filled with the sum over pixels of the absolute gradient by the centre, or None.
 
     Returns
     -------
@@ -250,9 +281,21 @@ def blend_backward(
         (3,) gradient by the background.
     """
     slots = np.empty((len(lists.entries), SLOT), dtype=np.float32)
+    absolute_slots = None if absolute_gradient is None else np.empty((len(lists.entries), 2), dtype=np.float32)
     background = np.zeros((len(used), 3), dtype=np.float32)
     _blend_backward(
-        lists.starts, lists.entries, used, lists.records, lists.columns, images, gradients, slots, background
+        lists.starts,
+        lists.entries,
+        used,
+        lists.records,
+        lists.columns,
+        images,
+        gradients,
+        slots,
+        absolute_slots,
+        background,
     )
     _add_all_slots(lists.order, lists.first_slots, slots, lists.records, means2d_gradient, splats_gradient)
+    if absolute_gradient is not None:
+        _add_absolute_slots(lists.order, lists.first_slots, absolute_slots, absolute_gradient)
     return background.sum(axis=0, dtype=np.float64)

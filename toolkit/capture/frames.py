@@ -1,0 +1,188 @@
+"""Frames of a video as picture files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from toolkit.capture.video import VideoInfo, decoded_frames, video_info
+from toolkit.errors import DataError, RunError, SettingsError
+from toolkit.files import atomic_folder
+from toolkit.progress import Progress, ProgressEvent, silent
+from toolkit.settings import Choice, Integer, Number, Settings
+
+# Of a second: time stamps are rounded to the clock of the file.
+_CLOCK = 1e-3
+
+
+class PictureSettings(Settings):
+    """How frames are written.
+
+    JPEG is the default: the video's own compression has lost more than quality 95 with full colour resolution does,
+    at a tenth of PNG's size. PNG keeps decoded pixels to the bit.
+    """
+
+    image_format = Choice(
+        "jpeg", choices=("jpeg", "png"), doc="Of the pictures: JPEG, or PNG, which loses nothing."
+    )
+    jpeg_quality = Integer(95, bounds=(1, 100), doc="Of JPEG pictures.")
+
+
+class FrameSettings(PictureSettings):
+    """Which frames are written, and how."""
+
+    every = Integer(1, bounds=(1, 1_000_000), unit="frames", doc="Write every n-th frame.")
+    frames_per_second = Number(
+        0.0,
+        bounds=(0.0, 1000.0),
+        unit="1/s",
+        doc="Write so many frames of each second, by their times; 0: by every.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class VideoFrames:
+    """Frames that were written.
+
+    Attributes
+    ----------
+    folder:
+        With the pictures.
+    names:
+        Of the pictures in it, in order of time.
+    numbers:
+        (N,) places in the video, from 0.
+    times:
+        (N,) seconds since the video's first frame.
+    info:
+        Of the video.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    numbers: NDArray[np.int64]
+    times: NDArray[np.float64]
+    info: VideoInfo
+
+
+def video_frames(
+    video: Path,
+    folder: Path,
+    settings: PictureSettings,
+    *,
+    numbers: Sequence[int] | NDArray[np.int64] | None = None,
+    progress: Progress = silent,
+) -> VideoFrames:
+    """Write frames of a video as ``frame_000123.jpg``, named by their place in it.
+
+    Parameters
+    ----------
+    video:
+        A file that PyAV (FFmpeg) decodes.
+    folder:
+        New or empty; it appears whole or not at all.
+    settings:
+        The kind of picture; and which frames, where they are :class:`FrameSettings` (else all).
+    numbers:
+        Write these frames instead (0 is the first), in increasing order.
+    progress:
+        Told after each decoded frame.
+
+    Raises
+    ------
+    MissingDependencyError
+        Where PyAV is missing.
+    SettingsError
+        Where both ``every`` and ``frames_per_second`` are set.
+    DataError
+        Where the video is missing, damaged or cut off, or has not so many frames.
+    RunError
+        Where the folder is not empty, the disk is full or may not be written.
+    """
+    require_empty(folder)
+    wanted = _rule(settings) if numbers is None else _listed(numbers)
+    last = None if numbers is None else int(numbers[-1])
+    info = video_info(video)
+    ending, options = ".png", {}
+    if settings.image_format == "jpeg":
+        ending, options = ".jpg", {"quality": settings.jpeg_quality, "subsampling": 0}
+    names, places, times = [], [], []
+    total = info.frames if last is None else last + 1
+    with atomic_folder(folder) as temporary:
+        temporary.mkdir(parents=True)
+        progress(ProgressEvent("frames", 0, total))
+        for frame in decoded_frames(video):
+            if wanted(frame.number, frame.time):
+                name = f"frame_{frame.number:06d}{ending}"
+                Image.fromarray(frame.rgb()).save(temporary / name, **options)
+                names.append(name)
+                places.append(frame.number)
+                times.append(frame.time)
+            progress(ProgressEvent("frames", frame.number + 1, total))
+            if frame.number == last:
+                break
+        if numbers is not None and len(names) < len(numbers):
+            raise DataError(
+                f"Video {video} has no frame {last}", expected="numbers from 0", found=f"{frame.number + 1} frames"
+            )
+    return VideoFrames(folder, tuple(names), np.array(places, dtype=np.int64), np.array(times), info)
+
+
+def require_empty(folder: Path) -> None:
+    """Raise :class:`RunError` where ``folder`` is there and is not an empty folder."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RunError(
+            f"{folder} is in the way", expected="a new or an empty folder", todo="Choose another or move it away"
+        )
+
+
+def check_numbers(numbers: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return frame numbers as an array.
+
+    Raises
+    ------
+    DataError
+        Where there is none, or they are not whole, not increasing or negative.
+    """
+    given = np.asarray(numbers)
+    whole = given.ndim == 1 and len(given) > 0 and np.issubdtype(given.dtype, np.integer)
+    if not whole or given[0] < 0 or not (np.diff(given) > 0).all():
+        raise DataError(
+            "These are no frame numbers", expected="increasing whole numbers from 0", found=str(numbers)[:80]
+        )
+    return given.astype(np.int64)
+
+
+def _listed(numbers: Sequence[int] | NDArray[np.int64]) -> Callable[[int, float], bool]:
+    chosen = set(check_numbers(numbers).tolist())
+    return lambda number, time: number in chosen
+
+
+def _rule(settings: PictureSettings) -> Callable[[int, float], bool]:
+    if not isinstance(settings, FrameSettings):
+        return lambda number, time: True
+    if settings.frames_per_second == 0:
+        return lambda number, time: number % settings.every == 0
+    if settings.every != 1:
+        raise SettingsError(
+            "Frames can be chosen by number or by time, not by both",
+            expected="every 1, or frames_per_second 0",
+            found=f"every {settings.every} and frames_per_second {settings.frames_per_second:g}",
+        )
+    due = 0.0
+
+    def by_time(number: int, time: float) -> bool:
+        """Take the first frame at or after each beat."""
+        nonlocal due
+        if time < due - _CLOCK:
+            return False
+        beat = np.floor((time + _CLOCK) * settings.frames_per_second)
+        due = float(beat + 1) / settings.frames_per_second
+        return True
+
+    return by_time

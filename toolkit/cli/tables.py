@@ -1,0 +1,122 @@
+"""The command that makes a paper's table and figures on our data."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from toolkit.cli.common import add, with_bar
+from toolkit.errors import DataError, SettingsError
+
+if TYPE_CHECKING:
+    from toolkit.progress import Progress
+    from toolkit.runs.paper_rows import PaperRow
+    from toolkit.samples.drone_flights import OrbitVideoSettings
+
+#: Photographs below TOOLKIT_DATA that the table takes where they are there.
+_PHOTOS = ("uav_brighton_beach", "uav_sheffield_cross")
+#: Folder beside the runs in which the flights are made; its dot keeps it out of lists of runs.
+_FLIGHTS = ".data"
+
+
+def add_commands(commands: argparse._SubParsersAction) -> None:
+    """Add the command."""
+    added = add(
+        commands,
+        "table",
+        _table,
+        "Make a paper's table on our data, with the paper's figures beside it.",
+        "table a-3dgs --rows sensor-3dgs colmap-3dgs-spatial --train-steps 300",
+    )
+    added.add_argument("paper", choices=("a-3dgs",), help="which paper: a-3dgs, Table 3")
+    added.add_argument(
+        "--data",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="captures [two filmed flights over the town, made beside the runs, and from $TOOLKIT_DATA "
+        + " and ".join(_PHOTOS)
+        + "]",
+    )
+    added.add_argument("--rows", nargs="+", metavar="ROW", help="methods [all]")
+    added.add_argument(
+        "--runs", type=Path, default=Path("runs/a-3dgs"), metavar="DIR", help="folder of runs [runs/a-3dgs]"
+    )
+    added.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs/results/a-3dgs"),
+        metavar="DIR",
+        help="where tables and figures go [docs/results/a-3dgs]",
+    )
+    added.add_argument("--train-steps", type=int, metavar="N", help="steps of every training [each recipe's own]")
+    added.add_argument("--max-side", type=int, metavar="N", help="pixels of the longer side [each recipe's own]")
+    added.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
+    added.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to compute [cpu]")
+    added.add_argument("--force", action="store_true", help="make finished runs again")
+
+
+def _table(arguments: argparse.Namespace) -> None:
+    from toolkit.recipes import registry
+    from toolkit.runs.paper_figures import render_grid, write_trajectories
+    from toolkit.runs.paper_runs import TableOptions, make_attempts
+    from toolkit.runs.paper_table import paper_table
+    from toolkit.runs.paper_text import table_markdown, write_table
+
+    rows = _rows(arguments.rows)
+    wishes = {"train.steps": arguments.train_steps, "train.max_side": arguments.max_side}
+    changes: dict[str, Any] = {name: value for name, value in wishes.items() if value is not None}
+    options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
+    given = None if arguments.data is None else _named(arguments.data)
+
+    def work(bar: Progress) -> list[Any]:
+        data = given if given is not None else _usual_data(arguments.runs, arguments.seed, bar)
+        return make_attempts(rows, data, registry.all_recipes(), options, progress=bar)
+
+    attempts = with_bar(work)
+    table = paper_table(attempts)
+    files = write_table(table, arguments.out)
+    for rank in ("median", "worst"):
+        files.append(arguments.out / f"renders_{rank}.png")
+        render_grid(attempts, files[-1], rank=rank)
+    files += write_trajectories(attempts, arguments.out)
+    print(table_markdown(table))
+    print("Wrote " + ", ".join(str(path) for path in files))
+
+
+def _rows(names: Sequence[str] | None) -> list[PaperRow]:
+    """Return the rows of these names, in the table's order."""
+    from toolkit.runs.paper_rows import ROWS
+
+    known = [row.key for row in ROWS]
+    unknown = [name for name in names or () if name not in known]
+    if unknown:
+        raise SettingsError(f"Unknown row '{unknown[0]}'", expected="one of " + ", ".join(known))
+    return [row for row in ROWS if names is None or row.key in names]
+
+
+def _named(folders: Sequence[Path]) -> dict[str, Path]:
+    """Return data folders by their last names."""
+    named = {folder.resolve().name: folder for folder in folders}
+    if len(named) < len(folders):
+        raise DataError("Two data folders have the same name", expected="names that tell columns apart")
+    return named
+
+
+def _usual_data(runs_dir: Path, seed: int, progress: Progress) -> dict[str, Path]:
+    """Return the filmed flights, made where they are missing, and the photographs that are there."""
+    from toolkit.samples.drone_flights import FLIGHTS, make_drone_flight
+
+    data: dict[str, Path] = {}
+    for name, settings_type in FLIGHTS.items():
+        settings: OrbitVideoSettings = settings_type()
+        folder = runs_dir / _FLIGHTS / f"{name}-{seed}"
+        data[name] = make_drone_flight(folder, settings, seed=seed, progress=progress).folder
+    photos = os.environ.get("TOOLKIT_DATA")
+    for name in _PHOTOS if photos else ():
+        if (Path(photos or "") / name).is_dir():
+            data[name] = Path(photos or "") / name
+    return data

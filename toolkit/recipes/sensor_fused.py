@@ -1,0 +1,82 @@
+"""Sensors fused with pictures: sensor poses choose the pairs, matches under them find the sensors' constant errors.
+
+As sensor poses + 3DGS, for speed: pairs that see the same by position and view, and features without the doubled
+first octave. So the time grows with the number of photos and not with its square.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from toolkit.matching.features import SiftSettings
+from toolkit.matching.match import MatchSettings
+from toolkit.matching.pairs import PairSettings
+from toolkit.metrics.lpips import Lpips
+from toolkit.poses.sensor_refine import SensorSfmSettings
+from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
+from toolkit.recipes.sensor_3dgs import sensor_stages
+from toolkit.recipes.steps import train_and_measure
+from toolkit.settings import Group, Settings
+from toolkit.splat.train_settings import TrainSettings
+
+
+class SensorFusedSettings(Settings):
+    """Settings of every stage of sensors fused with pictures.
+
+    Features default to ``first_octave=0`` (the picture is not doubled first) and at most 2,048 a photo: on the
+    sample flight a third of the time and a third of the features, with residuals of 0.27 px instead of 0.19. For
+    the last hundredths of a degree set ``sift.first_octave`` to -1. Three rounds of adjustment end where four do.
+    """
+
+    sift = Group(SiftSettings(first_octave=0, max_features=2048), doc="Features")
+    pairs = Group(PairSettings(method="sensor"), doc="Which photos are matched with which")
+    match = Group(MatchSettings(), doc="Matching and geometric verification")
+    sensors = Group(
+        SensorSfmSettings(attitude="auto", rounds=3),
+        doc="Poses from GPS and gimbal, refined by the pictures, and their biases",
+    )
+    train = Group(TrainSettings(), doc="Gaussian splats")
+
+
+def run(data: RecipeInput, settings: SensorFusedSettings, context: RecipeContext) -> RecipeResult:
+    """Take poses from GPS and gimbal, find what is wrong with them by matches, then train a splat on them."""
+    lpips = Lpips()
+    posed = sensor_stages(data, settings, context)
+    posed.metrics.update(bias_metrics(posed.stages[-1].report["biases"]))
+    return train_and_measure(data, posed, settings.train, context, lpips)
+
+
+def bias_metrics(biases: dict[str, Any]) -> dict[str, float | None]:
+    """Return the sensors' constant errors as measures; None where the flight leaves them open.
+
+    Parameters
+    ----------
+    biases:
+        :meth:`toolkit.poses.sensor_biases.SensorBiases.to_dict`.
+    """
+    x, y, z = (part["value"] for part in biases["boresight"])
+    return {
+        "sensors.heading_bias_deg": biases["heading"]["value"],
+        "sensors.heading_bias_sigma_deg": biases["heading"]["sigma"],
+        "sensors.boresight_x_deg": x,
+        "sensors.boresight_y_deg": y,
+        "sensors.boresight_z_deg": z,
+        "sensors.time_offset_s": biases["time_offset"]["value"],
+        "sensors.lever_ahead_m": biases["lever_ahead"]["value"],
+        "sensors.lever_right_m": biases["lever_right"]["value"],
+    }
+
+
+RECIPE = Recipe(
+    name="sensor-fused",
+    title="Sensors fused with pictures",
+    paper="",
+    description=(
+        "Camera poses from GPS and gimbal choose which photos are matched, by position and view; matches under "
+        "these poses give points, an adjustment with the GPS as prior, and the sensors' constant errors (heading, "
+        "boresight, time offset). Photos without gimbal angles get them from the direction of flight; photos "
+        "without GPS, or with a wrong one, are placed by their matches. The result is in metres, east-north-up."
+    ),
+    settings_type=SensorFusedSettings,
+    run=run,
+)
