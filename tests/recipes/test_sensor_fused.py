@@ -25,6 +25,11 @@ def test_it_is_registered_with_cheap_features_and_pairs_by_view() -> None:
     assert (settings.sift.first_octave, settings.sift.max_features) == (0, 2048)
     assert settings.sensors.attitude == "auto"
     assert settings.sensors.estimate_biases
+    # Poses rest while training; where they do not, they are held to where they started.
+    assert not settings.train.refine_poses
+    assert settings.train.pose_prior == "start"
+    assert settings.train.pose_prior_weight > 0
+    assert 0 < settings.train.pose_start < 1
     # The older recipe keeps its own.
     assert Sensor3dgsSettings().pairs.method == "spatial"
     assert Sensor3dgsSettings().sensors.attitude == "gimbal"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -18,10 +20,11 @@ from toolkit.capture.telemetry import Telemetry
 from toolkit.capture.telemetry_files import read_telemetry
 from toolkit.capture.video import VideoInfo, video_info
 from toolkit.errors import DataError, SettingsError
-from toolkit.files import atomic_folder, write_json
+from toolkit.files import atomic_folder, disk_errors, write_json
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import Progress, silent
 from toolkit.scene import Frame, Georeference, PosePrior, Scene
+from toolkit.scene.dataset import VIDEO_FILE
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.scene.photos import check_camera_model, start_camera
 from toolkit.settings import Group, Settings, Text
@@ -75,7 +78,8 @@ def open_flight(
 ) -> Flight:
     """Make a scene folder of a video: keyframes as pictures, with times, and with priors from telemetry.
 
-    Every eighth frame is a test frame. How the scene was made is kept in ``flight.json`` beside it.
+    Every eighth frame is a test frame. How the scene was made is kept in ``flight.json`` beside it, and the video
+    itself as ``video.mp4``, for methods that track it: the same file by a second name, or a copy on another disk.
 
     Parameters
     ----------
@@ -140,6 +144,7 @@ def open_flight(
             "warnings": list(warnings),
         }
         write_json(temporary / RECORD_FILE, record)
+        _keep_video(video, temporary / VIDEO_FILE)
         if folder.exists():
             folder.rmdir()
     return Flight(read_scene(folder), chosen, warnings)
@@ -156,6 +161,14 @@ def _scene(
         for name, time, prior in zip(frames.names, frames.times, priors, strict=True)
     )
     return Scene(frames.folder, {1: camera}, made, georeference=origin).with_every_nth_as_test()
+
+
+def _keep_video(video: Path, target: Path) -> None:
+    with disk_errors(target, "writing"):
+        try:
+            os.link(video.resolve(), target)
+        except OSError:  # another disk, or one that knows no links
+            shutil.copyfile(video, target)
 
 
 def _check_camera(camera: ColmapCamera | None, info: VideoInfo, video: Path) -> None:

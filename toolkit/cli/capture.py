@@ -23,6 +23,9 @@ def add_commands(commands: argparse._SubParsersAction, *, with_flags: bool) -> N
     added.add_argument(
         "--telemetry", type=Path, metavar="FILE", help="DJI's subtitles (.srt), a flight log (.csv) or track (.gpx)"
     )
+    added.add_argument(
+        "--camera", type=Path, metavar="PROFILE", help="known intrinsics: a profile that toolkit calibrate wrote"
+    )
     if with_flags:
         from toolkit.capture.flight import FlightSettings
 
@@ -33,8 +36,17 @@ def _frames(arguments: argparse.Namespace) -> None:
     from toolkit.capture.flight import FlightSettings, open_flight
 
     settings = FlightSettings.from_flags(arguments)
+    camera = None
+    if arguments.camera is not None:
+        from toolkit.capture.video import video_info
+        from toolkit.poses.camera_profile import read_profile
+
+        profile, info = read_profile(arguments.camera), video_info(arguments.video)
+        camera = profile.camera_for(info.width, info.height)
     flight = with_bar(
-        lambda bar: open_flight(arguments.video, arguments.telemetry, arguments.folder, settings, progress=bar)
+        lambda bar: open_flight(
+            arguments.video, arguments.telemetry, arguments.folder, settings, camera=camera, progress=bar
+        )
     )
     for warning in flight.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -44,3 +56,5 @@ def _frames(arguments: argparse.Namespace) -> None:
         f"{report['keyframes']} of {report['frames']} frames ({report['method']}), {priors} with priors, "
         f"written to {arguments.folder}"
     )
+    if camera is not None:
+        print(f"To keep the camera of the profile as it is: toolkit run ... --camera {arguments.camera}")

@@ -22,17 +22,31 @@ def _add_sample(commands: argparse._SubParsersAction, with_flags: bool) -> None:
         "Make pictures of a scene whose truth is known.",
         "sample town --to town/ --flight.frames 32",
     )
-    added.add_argument("kind", choices=("town",), help="which scene")
+    added.add_argument(
+        "kind",
+        choices=("town", "orbit-video", "spiral-video"),
+        help="pictures of the town, or a filmed flight over it",
+    )
     added.add_argument("--to", type=Path, required=True, metavar="FOLDER", help="new folder to write")
     added.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
     if with_flags:
+        from toolkit.samples.drone_flights import KeyframeStep
         from toolkit.samples.make import SampleSettings
 
         SampleSettings.add_flags(added)
+        KeyframeStep.add_flags(added)
 
 
 def _sample(arguments: argparse.Namespace) -> None:
+    from toolkit.samples.drone_flights import FLIGHTS, make_drone_flight
     from toolkit.samples.make import SampleSettings, make_sample
+
+    filmed = FLIGHTS.get(arguments.kind.removesuffix("-video"))
+    if filmed is not None:
+        wanted = filmed.from_flags(arguments)
+        flight = with_bar(lambda bar: make_drone_flight(arguments.to, wanted, seed=arguments.seed, progress=bar))
+        print(f"{len(flight.numbers)} keyframes, {flight.video.name} and the truth written to {arguments.to}")
+        return
 
     settings = SampleSettings.from_flags(arguments)
     with_bar(lambda bar: make_sample(arguments.to, settings, seed=arguments.seed, progress=bar))

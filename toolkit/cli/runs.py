@@ -15,6 +15,7 @@ from toolkit.progress import Progress
 
 if TYPE_CHECKING:
     from toolkit.runs.folder import RunFolder
+    from toolkit.settings import Settings
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
@@ -45,6 +46,13 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     )
     added.add_argument("recipe", metavar="RECIPE", help="name of the method (toolkit recipes lists them)")
     added.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="the capture")
+    added.add_argument(
+        "--camera",
+        type=Path,
+        metavar="PROFILE",
+        help="known intrinsics, not refined unless --set says so: a profile that toolkit calibrate wrote, or a "
+        "folder of profiles to find the photos' camera in",
+    )
     added.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting")
     base = added.add_mutually_exclusive_group()
     base.add_argument("--settings", type=Path, metavar="FILE", help="settings as JSON; --set comes after")
@@ -68,11 +76,14 @@ def _run(arguments: argparse.Namespace) -> None:
         settings = recipe.settings_type.from_json(_text_of(arguments.settings))
     elif arguments.preset is not None:
         settings = with_preset(settings, arguments.preset)
+    data = arguments.data
+    if arguments.camera is not None:
+        data, settings = _with_camera(arguments, settings)
     changed = settings.replace_from_text(arguments.set)
     run = with_bar(
         lambda bar: create_run(
             recipe,
-            arguments.data,
+            data,
             changed,
             arguments.runs,
             seed=arguments.seed,
@@ -83,6 +94,22 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     print(f"Run {run.id} in {run.path}", file=sys.stderr)
     _finish(run, execute)
+
+
+def _with_camera(arguments: argparse.Namespace, settings: Settings) -> tuple[Path, Settings]:
+    """Return a folder with the same pictures and the profile's camera, and settings that do not refine it."""
+    from toolkit.poses.camera_profile import with_fixed_cameras
+    from toolkit.poses.profiled_capture import capture_with_profile
+
+    made = with_bar(
+        lambda bar: capture_with_profile(
+            arguments.data, arguments.camera, arguments.runs / ".captures", progress=bar
+        )
+    )
+    for warning in made.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(f"Camera {made.profile.name}, {made.profile.width} x {made.profile.height} px", file=sys.stderr)
+    return made.folder, with_fixed_cameras(settings)
 
 
 def _text_of(path: Path) -> str:

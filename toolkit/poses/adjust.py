@@ -176,6 +176,23 @@ def position_priors(scene: Scene, reconstruction: pycolmap.Reconstruction) -> li
     return priors
 
 
+def focal_sigma(
+    reconstruction: pycolmap.Reconstruction, *, refine_distortion: bool, refine_principal_point: bool
+) -> float | None:
+    """Return the largest relative standard deviation of a focal length, as the pictures alone determine it.
+
+    Distortion and principal point are among the unknowns as told. None where the covariance cannot be computed: the
+    focal length, or something else, is not determined at all.
+    """
+    options = pycolmap.BundleAdjustmentOptions(
+        refine_focal_length=True,
+        refine_extra_params=refine_distortion,
+        refine_principal_point=refine_principal_point,
+        print_summary=False,
+    )
+    return _sigma(reconstruction, options, residual_noise(reconstruction), (), "focal length")
+
+
 def residual_noise(reconstruction: pycolmap.Reconstruction) -> float:
     """Return the standard deviation, in pixels, of one coordinate of the residuals, whatever the outliers.
 

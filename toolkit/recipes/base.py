@@ -27,11 +27,14 @@ class RecipeInput:
         The same frames with true or surveyed poses where there are any. Only measures may read it.
     fingerprint:
         Hash of the pictures and priors.
+    video:
+        File of which the pictures are frames, or None. Their times count from its first frame.
     """
 
     scene: Scene
     reference: Scene | None
     fingerprint: str
+    video: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

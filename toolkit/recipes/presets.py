@@ -8,15 +8,19 @@ from typing import TypeVar
 from toolkit.errors import SettingsError
 from toolkit.recipes.base import Recipe
 from toolkit.settings import Settings
-from toolkit.splat.presets import PRESETS, Preset, find_preset
+from toolkit.splat.pose_presets import POSE_PRESETS
+from toolkit.splat.presets import PRESETS, Preset
 from toolkit.splat.train_settings import TrainSettings
 
 AnySettings = TypeVar("AnySettings", bound=Settings)
 
 
 def recipe_presets(recipe: Recipe) -> Mapping[str, Preset]:
-    """Return the presets that a recipe takes, by name: those of splat training where it trains, else none."""
-    return PRESETS if _training_groups(recipe.settings_type()) else {}
+    """Return the presets that a recipe takes, by name: none where it trains nothing.
+
+    Those of splat training, and where it refines poses those of such trainings, too.
+    """
+    return _presets(recipe.settings_type())
 
 
 def with_preset(settings: AnySettings, name: str) -> AnySettings:
@@ -27,14 +31,25 @@ def with_preset(settings: AnySettings, name: str) -> AnySettings:
     SettingsError
         For an unknown preset, or settings of a recipe that trains nothing.
     """
-    preset, groups = find_preset(name), _training_groups(settings)
+    known, groups = _presets(settings), _training_groups(settings)
     if not groups:
         raise SettingsError(
             f"Preset '{name}' changes nothing here",
             expected="a recipe that trains splats",
             todo="Leave --preset out, and change settings with --set",
         )
-    return settings.replace({f"{group}.{key}": value for group in groups for key, value in preset.changes.items()})
+    if name not in known:
+        raise SettingsError(f"Unknown preset '{name}'", expected="one of " + ", ".join(known))
+    return settings.replace(
+        {f"{group}.{key}": value for group in groups for key, value in known[name].changes.items()}
+    )
+
+
+def _presets(settings: Settings) -> Mapping[str, Preset]:
+    groups = [getattr(settings, name) for name in _training_groups(settings)]
+    if any(group.refine_poses for group in groups):
+        return {**PRESETS, **POSE_PRESETS}
+    return PRESETS if groups else {}
 
 
 def _training_groups(settings: Settings) -> list[str]:

@@ -10,11 +10,19 @@ from toolkit.recipes.base import Recipe
 
 def all_recipes() -> dict[str, Recipe]:
     """Return every recipe by its name, in the order in which they are listed."""
+    from toolkit.recipes.cf_3dgs import RECIPE as CF_3DGS
     from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
+    from toolkit.recipes.noposegs import RECIPE as NOPOSEGS
     from toolkit.recipes.sensor_3dgs import RECIPE as SENSOR_3DGS
+    from toolkit.recipes.sensor_depth import SENSOR_DPT, SENSOR_GROUND
     from toolkit.recipes.sensor_fused import RECIPE as SENSOR_FUSED
+    from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM
 
-    return {recipe.name: recipe for recipe in (COLMAP_3DGS, SENSOR_3DGS, SENSOR_FUSED)}
+    recipes = (
+        *(COLMAP_3DGS, CF_3DGS, NOPOSEGS, ORBSLAM, ORB_PNP),
+        *(SENSOR_DPT, SENSOR_GROUND, SENSOR_3DGS, SENSOR_FUSED),
+    )
+    return {recipe.name: recipe for recipe in recipes}
 
 
 def find_recipe(name: str) -> Recipe:

@@ -146,7 +146,7 @@ def _work(run: RunFolder, progress: Progress, recipe: Recipe | None, *, allowed:
                 device=record.device,
                 progress=tell,
             )
-            data = RecipeInput(capture.scene, capture.reference, record.data_fingerprint)
+            data = RecipeInput(capture.scene, capture.reference, record.data_fingerprint, capture.video)
             result = chosen.run(data, settings, context)
             if capture.warnings:
                 told = {"data": {"warnings": list(capture.warnings)}}

@@ -54,6 +54,12 @@ class FlightSettings(Settings):
     angle_jitter = Number(
         1.0, bounds=(0.0, 15.0), unit="deg", doc="Standard deviation of the view about each axis."
     )
+    jitter_time = Number(
+        0.0,
+        bounds=(0.0, 60.0),
+        unit="s",
+        doc="Path and view waver over about this time, as a filmed flight does; 0: each frame has its own jitter.",
+    )
     climb = Boolean(False, doc="Fly over what stands in the way; otherwise a blocked flight is an error.")
     frame_interval = Number(0.5, bounds=(0.01, 60.0), unit="s", doc="Time from picture to picture.")
     image_width = Integer(480, bounds=(16, 4096), unit="px", doc="Width of the pictures.")
@@ -87,8 +93,8 @@ def flight_poses(settings: FlightSettings, town: Town, rng: np.random.Generator)
         when there are fewer than two frames for each lawn-mower strip.
     """
     centres, headings = _PATHS[settings.pattern](settings)
-    centres = centres + settings.position_jitter * rng.normal(size=centres.shape)
-    turns = np.radians(settings.angle_jitter) * rng.normal(size=centres.shape)
+    centres = centres + settings.position_jitter * _jitter(settings, rng)
+    turns = np.radians(settings.angle_jitter) * _jitter(settings, rng)
     centres = _clear(settings, town, centres)
     by_pitch = settings.aim == "pitch" or (settings.aim == "auto" and settings.pattern == "lawnmower")
     target = np.array([0.0, 0.0, settings.look_at_height])
@@ -120,6 +126,18 @@ def strip_count(settings: FlightSettings) -> int:
     swath = 2 * settings.height * np.tan(np.radians(settings.horizontal_fov) / 2)
     spacing = swath * (1 - settings.side_overlap / 100)
     return max(2, int(np.ceil(2 * settings.radius / spacing - 1e-9)) + 1)
+
+
+def _jitter(settings: FlightSettings, rng: np.random.Generator) -> Array:
+    """Return random numbers (F, 3) of unit variance, those of frames close in time alike where settings say so."""
+    width = settings.jitter_time / settings.frame_interval
+    if width == 0.0:
+        return rng.normal(size=(settings.frames, 3))
+    reach = int(np.ceil(3 * width))
+    kernel = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / width))
+    kernel /= np.linalg.norm(kernel)  # keeps the variance
+    noise = rng.normal(size=(settings.frames + 2 * reach, 3))
+    return np.stack([np.convolve(noise[:, axis], kernel, mode="valid") for axis in range(3)], axis=1)
 
 
 def _orbit(settings: FlightSettings) -> tuple[Array, Array]:

@@ -21,6 +21,9 @@ from toolkit.workspace import file_fingerprint, fingerprint
 
 _TEST_EVERY = 8
 
+VIDEO_FILE = "video.mp4"
+"""Name of a flight's video in its data folder, whatever its format."""
+
 
 @dataclass(frozen=True, slots=True)
 class Capture:
@@ -34,17 +37,21 @@ class Capture:
         The same frames with known poses, or None. Its world need not be that of the scene's priors.
     warnings:
         What the user should know, a sentence each.
+    video:
+        File of which the pictures are frames, where it lies beside ``scene.json``.
     """
 
     scene: Scene
     reference: Scene | None
     warnings: tuple[str, ...] = ()
+    video: Path | None = None
 
 
 def open_capture(folder: Path, *, check: bool = True, progress: Progress = silent) -> Capture:
     """Open a data folder by what lies in it.
 
-    - ``scene.json``: a scene folder; its poses become the reference.
+    - ``scene.json``: a scene folder; its poses become the reference. ``video.mp4`` beside it is the flight's
+      video.
     - ``transforms.json``: a nerfstudio folder; its poses and points become the reference, its pictures, cameras and
       masks are the scene's. Pictures that it does not name are left out.
     - ``images/`` and a COLMAP model in ``sparse/``: its poses become the reference, the one with most images where
@@ -71,7 +78,9 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
     if not folder.is_dir():
         raise DataError(f"Folder {folder} is missing", expected="a folder with pictures or a scene")
     if (folder / SCENE_FILE).exists():
-        return _whole_scene(read_scene(folder), check, progress)
+        video = folder / VIDEO_FILE
+        capture = _whole_scene(read_scene(folder), check, progress)
+        return dataclasses.replace(capture, video=video if video.is_file() else None)
     if (folder / TRANSFORMS_FILE).exists():
         return _whole_scene(read_transforms(folder / TRANSFORMS_FILE), check, progress)
     photos = scene_from_photos(folder, check=check, progress=progress)

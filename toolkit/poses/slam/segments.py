@@ -8,11 +8,13 @@ from typing import Literal, assert_never
 import numpy as np
 
 from toolkit.errors import DataError, StageError
+from toolkit.geometry.rigid import RigidTransform
 from toolkit.poses.slam.result import SlamResult, SlamSegment
 from toolkit.scene import Scene
 from toolkit.scene.timed_poses import associate
 
 How = Literal["largest", "last"]
+By = Literal["number", "time"]
 
 #: Times that went through text are still the same to a tenth of a millisecond.
 _TIME_TOLERANCE = 1e-4
@@ -43,7 +45,7 @@ def choose_segment(result: SlamResult, how: How = "largest") -> SlamSegment:
 
 
 def scene_with_segment(
-    scene: Scene, segment: SlamSegment, *, by: Literal["number", "time"] = "number", keyframes_only: bool = True
+    scene: Scene, segment: SlamSegment, *, by: By = "number", keyframes_only: bool = True
 ) -> Scene:
     """Return the scene with the poses of a segment, in the segment's own world frame and scale.
 
@@ -68,6 +70,20 @@ def scene_with_segment(
         Where the segment has a frame that the scene lacks, a frame has no time although times count, or no frame
         has the time of a pose.
     """
+    poses = segment_poses(scene, segment, by=by, keyframes_only=keyframes_only)
+    frames = tuple(
+        dataclasses.replace(frame, cam_from_world=poses.get(i), prior=None) for i, frame in enumerate(scene.frames)
+    )
+    return scene.replace(frames=frames, points=None, georeference=None)
+
+
+def segment_poses(
+    scene: Scene, segment: SlamSegment, *, by: By = "number", keyframes_only: bool = True
+) -> dict[int, RigidTransform]:
+    """Return the poses of a segment, in its own world frame, by the place of the frame in the scene.
+
+    Parameters and errors are those of :func:`scene_with_segment`.
+    """
     timed = segment.keyframes if keyframes_only else segment.frames
     if by == "number":
         numbers = segment.keyframe_numbers if keyframes_only else segment.frame_numbers
@@ -78,25 +94,20 @@ def scene_with_segment(
                 found=str(len(scene)),
                 todo="Let the times say which frames belong together",
             )
-        poses = dict(zip(numbers.tolist(), timed.poses, strict=True))
-    else:
-        times = [frame.time for frame in scene.frames if frame.time is not None]
-        if len(times) < len(scene):
-            raise DataError(
-                "Frames without time cannot take a segment's poses by time",
-                expected="a time for each frame",
-                found=f"{len(scene) - len(times)} of {len(scene)} frames without",
-            )
-        order = np.argsort(times, kind="stable")
-        pairs = associate(np.array(times)[order], timed.times, _TIME_TOLERANCE)
-        if not len(pairs):
-            raise DataError(
-                "No frame of the scene has the time of a pose",
-                expected=f"{timed.times[0]:.3f} to {timed.times[-1]:.3f} s",
-                found=f"{min(times):.3f} to {max(times):.3f} s" if times else "no frames",
-            )
-        poses = {int(order[i]): timed.poses[j] for i, j in pairs.tolist()}
-    frames = tuple(
-        dataclasses.replace(frame, cam_from_world=poses.get(i), prior=None) for i, frame in enumerate(scene.frames)
-    )
-    return scene.replace(frames=frames, points=None, georeference=None)
+        return dict(zip(numbers.tolist(), timed.poses, strict=True))
+    times = [frame.time for frame in scene.frames if frame.time is not None]
+    if len(times) < len(scene):
+        raise DataError(
+            "Frames without time cannot take a segment's poses by time",
+            expected="a time for each frame",
+            found=f"{len(scene) - len(times)} of {len(scene)} frames without",
+        )
+    order = np.argsort(times, kind="stable")
+    pairs = associate(np.array(times)[order], timed.times, _TIME_TOLERANCE)
+    if not len(pairs):
+        raise DataError(
+            "No frame of the scene has the time of a pose",
+            expected=f"{timed.times[0]:.3f} to {timed.times[-1]:.3f} s",
+            found=f"{min(times):.3f} to {max(times):.3f} s" if times else "no frames",
+        )
+    return {int(order[i]): timed.poses[j] for i, j in pairs.tolist()}

@@ -1,0 +1,105 @@
+"""The command that makes a paper's table, with a recipe that takes no time in the place of a method."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from fake_recipe import RECIPE, write_photos
+
+from toolkit.cli import main
+from toolkit.errors import Cancelled
+from toolkit.progress import ProgressEvent
+from toolkit.recipes import registry
+from toolkit.runs import paper_runs
+from toolkit.runs.index import list_runs
+from toolkit.samples import drone_flights
+
+NAME = "noposegs"
+
+
+@pytest.fixture(autouse=True)
+def one_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "all_recipes", lambda: {NAME: dataclasses.replace(RECIPE, name=NAME)})
+    monkeypatch.delenv("TOOLKIT_DATA", raising=False)
+
+
+@pytest.fixture
+def places(tmp_path: Path) -> list[str]:
+    return ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]
+
+
+def test_a_table_is_made_of_named_data_and_taken_again(
+    tmp_path: Path, places: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = write_photos(tmp_path / "my_photos")
+    command = ["table", "a-3dgs", "--data", str(photos), "--rows", "sensor-dpt", NAME, *places]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert r"## Means over 1 data set: my\_photos" in said
+    assert said.index("| NoposeGS | 1 of 1 |") < said.index("| Sensor-DPT | 0 of 1 | not there: no recipe")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "renders_median.png",
+        "renders_worst.png",
+        "table3.csv",
+        "table3.md",
+        "table3.tex",
+        "trajectories_my_photos.html",
+    ]
+    assert main(command) == 0
+    assert len(list_runs(tmp_path / "runs")) == 1
+    assert main([*command, "--force"]) == 0
+    assert len(list_runs(tmp_path / "runs")) == 2
+
+
+def test_without_data_the_two_flights_and_photographs_are_taken(
+    tmp_path: Path, places: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny = {"town.trees": 0, "flight.frames": 6, "flight.image_width": 32, "flight.image_height": 24}
+    flights = {
+        name: lambda made=made: made().replace({**tiny, "keyframe_every": 1})
+        for name, made in drone_flights.FLIGHTS.items()
+    }
+    monkeypatch.setattr(drone_flights, "FLIGHTS", flights)
+    monkeypatch.setenv("TOOLKIT_DATA", str(tmp_path))
+    write_photos(tmp_path / "uav_sheffield_cross")
+    assert main(["table", "a-3dgs", "--rows", NAME, *places]) == 0
+    said = capsys.readouterr().out
+    assert r"## Means over 3 data sets: orbit, spiral, uav\_sheffield\_cross" in said
+    assert "| NoposeGS | 3 of 3 |" in said
+    assert len(list_runs(tmp_path / "runs")) == 3  # the flights' folder is none of them
+    assert drone_flights.open_drone_flight(tmp_path / "runs" / ".data" / "orbit-0").numbers.size == 6
+
+
+def test_an_unknown_row_and_two_folders_of_one_name_are_told(
+    tmp_path: Path, places: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["table", "a-3dgs", "--rows", "nothing", *places]) == 2
+    assert "Unknown row 'nothing'; expected one of colmap-3dgs, colmap-3dgs-spatial, cf-3dgs" in (
+        capsys.readouterr().err
+    )
+    twice = [str(write_photos(tmp_path / part / "same")) for part in "ab"]
+    assert main(["table", "a-3dgs", "--data", *twice, *places]) == 2
+    assert "Two data folders have the same name; expected names that tell columns apart." in capsys.readouterr().err
+
+
+def test_data_that_are_no_capture_end_the_table_before_any_run(
+    tmp_path: Path, places: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["table", "a-3dgs", "--data", str(tmp_path / "nowhere"), *places]) == 2
+    assert "nowhere is missing" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_stopped_table_says_so(
+    tmp_path: Path, places: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(*_: object, **__: object) -> ProgressEvent:
+        raise Cancelled("enough")
+
+    monkeypatch.setattr(paper_runs, "execute", stop)
+    photos = write_photos(tmp_path / "photos")
+    assert main(["table", "a-3dgs", "--data", str(photos), "--rows", NAME, *places]) == 130
+    assert "stopped: enough" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,65 @@
+"""From everything that a SLAM backend found to a scene: one segment, or all of them joined by GPS."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from toolkit.poses.slam.merge import MergeSettings, merge_segments
+from toolkit.poses.slam.merged import merged_scene
+from toolkit.poses.slam.result import SlamResult
+from toolkit.poses.slam.segments import By, choose_segment, scene_with_segment
+from toolkit.progress import Progress, silent
+from toolkit.scene import Scene
+
+Placing = Literal["largest", "last", "merge"]
+
+
+def place_segments(
+    scene: Scene,
+    result: SlamResult,
+    how: Placing = "largest",
+    *,
+    settings: MergeSettings | None = None,
+    by: By = "number",
+    keyframes_only: bool = True,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Scene:
+    """Return the scene with poses of what was tracked.
+
+    Parameters
+    ----------
+    scene:
+        With the frames of the video, and for ``"merge"`` priors and a georeference.
+    result:
+        As a backend gave it.
+    how:
+        ``"largest"`` or ``"last"``: the poses of this segment, in its own world frame and scale
+        (:func:`~toolkit.poses.slam.segments.scene_with_segment`); ``"merge"``: those of all segments that GPS can
+        place, in metres in the scene's own frame (:func:`~toolkit.poses.slam.merge.merge_segments`).
+    settings:
+        Of ``"merge"``; None: the defaults.
+    by, keyframes_only:
+        As :func:`~toolkit.poses.slam.segments.scene_with_segment` takes them.
+    seed, progress:
+        Of ``"merge"``.
+
+    Raises
+    ------
+    StageError
+        Where nothing was tracked, or no segment can be placed.
+    DataError
+        Where frames and poses do not belong together.
+    """
+    if how == "merge":
+        merged = merge_segments(
+            result,
+            scene,
+            settings or MergeSettings(),
+            by=by,
+            keyframes_only=keyframes_only,
+            seed=seed,
+            progress=progress,
+        )
+        return merged_scene(scene, merged)
+    return scene_with_segment(scene, choose_segment(result, how), by=by, keyframes_only=keyframes_only)
