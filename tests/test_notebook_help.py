@@ -10,7 +10,7 @@ import pytest
 from toolkit.errors import RunError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.notebook import CellProgress, measures_text, poses_figure, sample_folder, work_folder
+from toolkit.notebook import CellProgress, measures_text, poses_figure, sample_folder, seconds_figure, work_folder
 from toolkit.progress import ProgressEvent
 from toolkit.samples.make import SampleSettings
 from toolkit.scene import Frame, Scene
@@ -87,3 +87,9 @@ def test_without_a_reference_the_first_path_stands_still() -> None:
     first, second = (next(item for item in figure.data if item.name == name) for name in ("first", "second"))
     np.testing.assert_allclose(np.asarray(first.z, float), 2.0)
     np.testing.assert_allclose(np.asarray(second.z, float), 2.0)
+
+
+def test_seconds_are_bars_built_of_steps() -> None:
+    figure = seconds_figure({"short": {"match": 1.0}, "long": {"match": 2.0, "solve": 5.0}})
+    bars = {bar.name: list(bar.x) for bar in figure.data}
+    assert bars == {"match": [1.0, 2.0], "solve": [None, 5.0]}

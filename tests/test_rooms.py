@@ -27,7 +27,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "recipes": {"geometry", "scene", "metrics", "samples", "capture", "matching", "poses", "depth", "splat"},
     "plots": {"geometry", "scene", "metrics"},
     "runs": {"geometry", "scene", "metrics", "splat", "recipes", "plots"},
-    "widgets": {"scene", "metrics", "recipes", "plots", "runs"},
+    "widgets": {"scene", "metrics", "samples", "recipes", "plots", "runs"},
     "cli": {"samples", "capture", "poses", "recipes", "runs", "demo", "widgets"},
     "demo": {"samples", "scene", "recipes", "runs"},
     "notebook": {"samples", "scene", "plots", "runs"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -90,6 +91,22 @@ def poses_figure(found: Mapping[str, Scene], reference: Scene | None) -> go.Figu
     drawn = trajectory_figure(paths, None if aligned.reference is None else aligned.reference.poses)
     drawn.update_layout(title_text="<br>".join(shown(remark) for remark in aligned.remarks), title_font_size=12)
     return drawn.update_layout(margin_t=30 + 16 * len(aligned.remarks))
+
+
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """A stage that was run in a cell."""
+
+    name: str
+    seconds: float
+    reused: bool = False
+
+
+def seconds_figure(ways: Mapping[str, Mapping[str, float]]) -> go.Figure:
+    """Draw one bar for each way to a result, built of the seconds that its steps took."""
+    from toolkit.plots.times import time_figure
+
+    return time_figure({label: [_Stage(*step) for step in steps.items()] for label, steps in ways.items()})
 
 
 def measures_text(columns: Mapping[str, Mapping[str, float | None]]) -> str:

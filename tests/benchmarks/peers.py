@@ -261,7 +261,7 @@ def spinning(arguments: argparse.Namespace) -> Peer:
     return Peer("this toolkit, OpenMP's own waiting", lambda _: torch.empty(0), **json.loads(made.stdout))
 
 
-HEAD = """## Beside other rasterizers
+HEAD = """# Beside other rasterizers
 
 Made by `python tests/benchmarks/peers.py {words}` ({processor}, {threads} threads, numba {numba}, torch {torch}).
 {count:,} Gaussians, {width}x{height}, RGB (harmonics of degree 0), {pairs:.2f} million blended pairs of Gaussian
@@ -315,6 +315,9 @@ def report(
         medians = statistics.median(peer.both) / statistics.median(first.both)
         page += f"| {peer.name} | {cell(peer.forward)} | {cell(peer.both)} "
         page += f"| {medians:.2f} | {min(peer.both) / min(first.both):.2f} |\n"
+    alone = statistics.median(waiting.both)
+    ratios = ", ".join(f"{peer.name} {statistics.median(peer.both) / alone:.1f}" for peer in everybody[1:])
+    page += f"\nTimes ours with OpenMP's own waiting, as the toolkit runs by itself, medians: {ratios}.\n"
     page += AGREEMENT.format(names=" | ".join(first.gradients), rules="---|" * len(first.gradients))
     for peer in everybody[1:]:
         difference = peer.image - first.image

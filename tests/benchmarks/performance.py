@@ -21,7 +21,7 @@ from performance_measures import (
     Row,
     measure,
     peak_gflops,
-    peak_memory,
+    peak_memory_of_a_process,
     reference_ratio,
     training_steps,
 )
@@ -67,8 +67,8 @@ to 8 px, opacity 0.1 to 0.9, L1 to a random picture, one view, through the publi
 MIDDLE = """
 - Cost by pair at 200,000 in 1280x720 is {growth:.2f} of that at 10,000 in 320x240.
 - Frames a second, forward only, 100,000 at 640x480: {frames:.0f}.
-- Memory while 200,000 at 1280x720 with SH 3 are drawn and differentiated: {added:.0f} MiB more than the
-  {before:.0f} MiB that libraries, compiled code and the parameters take.
+- Memory of a process that draws and differentiates 200,000 at 1280x720 with SH 3: {most:.0f} MiB at most,
+  {before:.0f} MiB before it began (libraries, compiled code, parameters).
 - The reference twin takes {slow:.0f} ms for 1,000 Gaussians at 160x120 with gradients, the kernels {fast:.2f}:
   {ratio:.0f} times less.
 
@@ -104,7 +104,7 @@ def report(rows: list[Row], repeats: int) -> str:
     bound = main_row.pairs * OPERATIONS / peak / 1e6
     both = statistics.median(main_row.both)
     slow, fast = reference_ratio()
-    before, most = peak_memory()
+    before, most = peak_memory_of_a_process()
     page = HEAD.format(
         repeats=repeats,
         processor=processor(),
@@ -121,7 +121,7 @@ def report(rows: list[Row], repeats: int) -> str:
     page += MIDDLE.format(
         growth=large.nanoseconds_a_pair / small.nanoseconds_a_pair,
         frames=1e3 / statistics.median(main_row.forward),
-        added=most - before,
+        most=most,
         before=before,
         slow=slow,
         fast=fast,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -222,6 +225,13 @@ def _backend_time(backend: BackendName) -> float:
     return 1e3 * statistics.median(_seconds(work) for _ in range(3))
 
 
+def peak_memory_of_a_process() -> tuple[float, float]:
+    """Return what :func:`peak_memory` does, of a process that does nothing else."""
+    made = subprocess.run([sys.executable, __file__], check=True, stdout=subprocess.PIPE, text=True)
+    before, most = json.loads(made.stdout)
+    return before, most
+
+
 def peak_memory() -> tuple[float, float]:
     """Return the process's memory in MiB before, and at most while, drawing 200,000 at 1280x720 (Linux)."""
     gaussians, views, target = workload(1000, 64, 48, 3)
@@ -238,3 +248,7 @@ def _resident(name: str) -> float:
         if line.startswith(name):
             return int(line.split()[1]) / 1024
     raise RuntimeError(f"/proc/self/status has no {name}")
+
+
+if __name__ == "__main__":
+    print(json.dumps(peak_memory()))

@@ -37,7 +37,7 @@ NOT_TRAINING = ("compile", "evaluation", "checkpoint")
 BACKENDS = ("cpu", "reference")
 SMALL = {"steps": 1000, "max_side": 320, "max_gaussians": 10_000, "checkpoint_every": 50, "eval_every": 1000}
 PLAIN = {"steps": 2000, "max_side": 640, "checkpoint_every": 2000, "eval_every": 2000}
-SCHEDULE = {"steps": 1600, "coarse_to_fine": True, "densify_stop": 0.8}
+SCHEDULE = {"steps": 1750, "coarse_to_fine": True, "coarse_half": 0.55, "densify_stop": 0.8}
 
 
 def posed_scene(name: str, data: Path, work: Path) -> Scene:
