@@ -1,8 +1,9 @@
 """Measures whether the trainer loses anything by being fast, on the test views of real photos.
 
 ``TOOLKIT_DATA=<folder> python tests/benchmarks/quality.py reference`` trains with the CPU kernels and with the
-readable reference, everything else equal: at most 10,000 Gaussians, 320 pixels, 1,000 steps. It takes hours; what
-is done is kept in ``--work`` and not done again, an interrupted training goes on.
+readable reference, everything else equal: at most 10,000 Gaussians, 1,000 steps, 320 pixels or those of
+``--max-side``. It takes hours; what is done is kept in ``--work`` and not done again, an interrupted training goes
+on.
 
 ``... quality.py schedule`` trains from coarse to fine, in fewer steps, against the plain trainer: minutes, on a
 machine with nothing else to do.
@@ -35,9 +36,9 @@ from toolkit.splat.warm_up import warm_up
 SETS = ("strecha_fountain_p11", "lund_park_gate", "uav_oblique_kap_boruszyn")
 NOT_TRAINING = ("compile", "evaluation", "checkpoint")
 BACKENDS = ("cpu", "reference")
-SMALL = {"steps": 1000, "max_side": 320, "max_gaussians": 10_000, "checkpoint_every": 50, "eval_every": 1000}
+SMALL = {"steps": 1000, "max_gaussians": 10_000, "checkpoint_every": 50, "eval_every": 1000}
 PLAIN = {"steps": 2000, "max_side": 640, "checkpoint_every": 2000, "eval_every": 2000}
-SCHEDULE = {"steps": 1750, "coarse_to_fine": True, "coarse_half": 0.55, "densify_stop": 0.8}
+SCHEDULE = {"steps": 1820, "coarse_to_fine": True, "coarse_half": 0.55, "densify_stop": 0.8}
 
 
 def posed_scene(name: str, data: Path, work: Path) -> Scene:
@@ -72,7 +73,7 @@ def trained(scene: Scene, changes: Mapping[str, Any], label: str, work: Path) ->
     return values
 
 
-def against_reference(data: Path, work: Path) -> None:
+def against_reference(data: Path, work: Path, max_side: int) -> None:
     """Print the table of CPU kernels against the reference."""
     print(
         "| set | test PSNR, cpu (dB) | test PSNR, reference (dB) | difference | Gaussians | s a step, reference |"
@@ -80,7 +81,10 @@ def against_reference(data: Path, work: Path) -> None:
     print("|---|---|---|---|---|---|")
     for name in SETS:
         scene = posed_scene(name, data, work)
-        fast, slow = (trained(scene, {**SMALL, "backend": kind}, f"{name}_{kind}", work) for kind in BACKENDS)
+        fast, slow = (
+            trained(scene, {**SMALL, "max_side": max_side, "backend": kind}, f"{name}_{max_side}_{kind}", work)
+            for kind in BACKENDS
+        )
         print(
             f"| {name} | {fast['psnr']:.2f} | {slow['psnr']:.2f} | {fast['psnr'] - slow['psnr']:+.2f} | "
             f"{fast['gaussians']:.0f}, {slow['gaussians']:.0f} | {slow['seconds'] / SMALL['steps']:.2f} |",
@@ -110,6 +114,7 @@ def main() -> int:
     """Measure what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("what", choices=("reference", "schedule"))
+    parser.add_argument("--max-side", type=int, default=320, help="of the photos, with reference [320]")
     parser.add_argument("--work", type=Path, default=Path("runs/quality"), help="keeps results [runs/quality]")
     arguments = parser.parse_args()
     data = os.environ.get("TOOLKIT_DATA")
@@ -117,8 +122,10 @@ def main() -> int:
         print("TOOLKIT_DATA is not set: it names the folder with the real pictures. Nothing was measured.")
         return 0
     arguments.work.mkdir(parents=True, exist_ok=True)
-    measure = against_reference if arguments.what == "reference" else against_plain
-    measure(Path(data), arguments.work)
+    if arguments.what == "reference":
+        against_reference(Path(data), arguments.work, arguments.max_side)
+    else:
+        against_plain(Path(data), arguments.work)
     return 0
 
 
