@@ -24,7 +24,7 @@ TINY = SampleSettings().replace(
 
 @pytest.fixture(scope="session")
 def town_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Scene]:
-    """Return the folder with ``flight.mp4`` and ``flight.srt``, and the scene that they were made of."""
+    """Return the folder with ``video.mp4`` and ``video.srt``, and the scene that they were made of."""
     pytest.importorskip("av", reason="PyAV is not installed: pip install 'sightline-toolkit[video]'")
     folder = tmp_path_factory.mktemp("capture") / "town"
     return folder, make_sample(folder, TINY, seed=2)

@@ -32,7 +32,7 @@ GPX = """<gpx><trk><trkseg>
 
 def test_a_flight_becomes_the_scene_that_it_was_made_of(town_flight: tuple[Path, Scene], tmp_path: Path) -> None:
     folder, truth = town_flight
-    flight = open_flight(folder / "flight.mp4", folder / "flight.srt", tmp_path / "made", EACH)
+    flight = open_flight(folder / "video.mp4", folder / "video.srt", tmp_path / "made", EACH)
     assert [frame.name for frame in flight.scene.frames] == [f"frame_{i:06d}.jpg" for i in range(12)]
     assert [frame.split for frame in flight.scene.frames] == ["test", *["train"] * 7, "test", *["train"] * 3]
     assert "true or magnetic north" in flight.warnings[0]
@@ -65,7 +65,7 @@ def test_the_folder_opens_as_a_capture_and_tells_how_it_was_made(
     town_flight: tuple[Path, Scene], tmp_path: Path
 ) -> None:
     folder, _ = town_flight
-    flight = open_flight(folder / "flight.mp4", None, tmp_path / "made", EACH)
+    flight = open_flight(folder / "video.mp4", None, tmp_path / "made", EACH)
     capture = open_capture(tmp_path / "made")
     assert capture.scene.frames == flight.scene.frames
     assert capture.reference is None
@@ -77,7 +77,7 @@ def test_the_folder_opens_as_a_capture_and_tells_how_it_was_made(
     assert all(frame.prior is None for frame in flight.scene.frames)
     assert flight.scene.georeference is None
     record = json.loads((tmp_path / "made" / "flight.json").read_text())
-    assert (record["video"], record["telemetry"]) == ("flight.mp4", None)
+    assert (record["video"], record["telemetry"]) == ("video.mp4", None)
     assert record["keyframes"]["numbers"] == list(range(12))
     assert FlightSettings.from_dict(record["settings"]).to_dict() == EACH.to_dict()
 
@@ -88,13 +88,13 @@ def test_a_known_camera_and_given_frames(town_flight: tuple[Path, Scene], tmp_pa
     camera = ColmapCamera.pinhole(160, 120, 150.0)
     given = FlightSettings(keyframes=KeyframeSettings(method="given"))
     flight = open_flight(
-        folder / "flight.mp4", None, tmp_path / "made", given, camera=camera, numbers=np.array([2, 9])
+        folder / "video.mp4", None, tmp_path / "made", given, camera=camera, numbers=np.array([2, 9])
     )
     assert [frame.name for frame in flight.scene.frames] == ["frame_000002.jpg", "frame_000009.jpg"]
     assert read_scene(tmp_path / "made").cameras == {1: camera}
     small = ColmapCamera.pinhole(80, 60, 75.0)
     with pytest.raises(DataError, match="The camera does not fit .*expected 160 x 120 px; found 80 x 60 px"):
-        open_flight(folder / "flight.mp4", None, tmp_path / "other", given, camera=small, numbers=[2])
+        open_flight(folder / "video.mp4", None, tmp_path / "other", given, camera=small, numbers=[2])
 
 
 def test_clocks_that_count_from_1970_need_the_start_of_the_video(
@@ -104,13 +104,13 @@ def test_clocks_that_count_from_1970_need_the_start_of_the_video(
     (tmp_path / "a.gpx").write_text(GPX)
     made = EACH.replace({"telemetry.attitude_source": "none", "telemetry.max_gap": 20.0})
     with pytest.raises(SettingsError, match=r"counts time from 1970.*expected video_start"):
-        open_flight(folder / "flight.mp4", tmp_path / "a.gpx", tmp_path / "made", made)
+        open_flight(folder / "video.mp4", tmp_path / "a.gpx", tmp_path / "made", made)
     with pytest.raises(SettingsError, match=r"'video_start' is no date and time; .*found 'noon'"):
         open_flight(
-            folder / "flight.mp4", tmp_path / "a.gpx", tmp_path / "made", made.replace({"video_start": "noon"})
+            folder / "video.mp4", tmp_path / "a.gpx", tmp_path / "made", made.replace({"video_start": "noon"})
         )
     timed = made.replace({"video_start": "2026-06-01T10:00:02"})
-    scene = open_flight(folder / "flight.mp4", tmp_path / "a.gpx", tmp_path / "made", timed).scene
+    scene = open_flight(folder / "video.mp4", tmp_path / "a.gpx", tmp_path / "made", timed).scene
     north = [frame.prior.position[1] for frame in scene.frames if frame.prior and frame.prior.position is not None]
     # 111.2 m in 10 s, at half a second a frame, seen from their middle.
     np.testing.assert_allclose(np.diff(north), 5.56, atol=0.01)
@@ -122,7 +122,7 @@ def test_a_log_that_begins_by_itself_is_told(town_flight: tuple[Path, Scene], tm
     rows = "".join(f"{time},48,9,{time}\n" for time in range(20))
     (tmp_path / "a.csv").write_text("time(s),latitude,longitude,altitude(m)\n" + rows)
     made = EACH.replace({"telemetry.attitude_source": "none", "telemetry.time_offset": 7.0})
-    flight = open_flight(folder / "flight.mp4", tmp_path / "a.csv", tmp_path / "made", made)
+    flight = open_flight(folder / "video.mp4", tmp_path / "a.csv", tmp_path / "made", made)
     assert "count from the start of the log: with time_offset 7 s they are taken as those of the video" in str(
         flight.warnings
     )
@@ -136,21 +136,21 @@ def test_what_fails_leaves_no_folder(town_flight: tuple[Path, Scene], tmp_path: 
     with pytest.raises(
         SettingsError, match=r"no flight attitude in .*flight\.srt; expected attitude_source gimbal"
     ):
-        open_flight(folder / "flight.mp4", folder / "flight.srt", tmp_path / "made", wrong)
+        open_flight(folder / "video.mp4", folder / "video.srt", tmp_path / "made", wrong)
     with pytest.raises(DataError, match="Unknown camera model 'LENS'"):
-        open_flight(folder / "flight.mp4", None, tmp_path / "made", EACH.replace({"camera_model": "LENS"}))
+        open_flight(folder / "video.mp4", None, tmp_path / "made", EACH.replace({"camera_model": "LENS"}))
     assert not list(tmp_path.iterdir())
     with pytest.raises(RunError, match="is in the way"):
-        open_flight(folder / "flight.mp4", None, folder, EACH)
+        open_flight(folder / "video.mp4", None, folder, EACH)
 
 
 def test_the_command_makes_a_folder_with_the_flags_of_its_settings(
     town_flight: tuple[Path, Scene], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, _ = town_flight
-    command = ["frames", str(folder / "flight.mp4"), str(tmp_path / "made")]
+    command = ["frames", str(folder / "video.mp4"), str(tmp_path / "made")]
     flags = ["--keyframes.method", "every-nth", "--keyframes.every", "5", "--pictures.image-format", "png"]
-    assert main([*command, "--telemetry", str(folder / "flight.srt"), *flags]) == 0
+    assert main([*command, "--telemetry", str(folder / "video.srt"), *flags]) == 0
     said = capsys.readouterr()
     assert "3 of 12 frames (every-nth), 3 with priors, written to" in said.out
     assert "warning: The log does not say" in said.err

@@ -119,7 +119,7 @@ def test_wrong_subtitles_are_named(read: Read, change: tuple[str, str], message:
 
 def test_the_samples_subtitles_give_its_priors_back(town_flight: tuple[Path, Scene]) -> None:
     folder, scene = town_flight
-    telemetry = read_telemetry(folder / "flight.srt")
+    telemetry = read_telemetry(folder / "video.srt")
     assert len(telemetry) == len(scene) == 12
     times = np.array([0.0 if frame.time is None else frame.time for frame in scene.frames])
     priors, origin, _ = telemetry_priors(telemetry, times, TelemetrySettings(), scene.georeference)

@@ -60,9 +60,9 @@ def psnr(found: np.ndarray, truth: np.ndarray) -> float:
 
 def test_the_samples_pictures_come_back_in_order_and_time(town_flight: tuple[Path, Scene], tmp_path: Path) -> None:
     folder, scene = town_flight
-    info = video_info(folder / "flight.mp4")
+    info = video_info(folder / "video.mp4")
     assert (info.frames, info.width, info.height, info.rotation) == (12, 160, 120, 0)
-    found = video_frames(folder / "flight.mp4", tmp_path / "out", ALL)
+    found = video_frames(folder / "video.mp4", tmp_path / "out", ALL)
     assert found.names == tuple(f"frame_{number:06d}.jpg" for number in range(12))
     assert found.numbers.tolist() == list(range(12))
     np.testing.assert_allclose(found.times, [frame.time for frame in scene.frames], atol=1e-3)

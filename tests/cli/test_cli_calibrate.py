@@ -168,7 +168,7 @@ def test_frames_of_a_video_get_the_camera_scaled_to_them(
     make_sample(tmp_path / "town", SMALL.replace(tiny), seed=1)
     write_profile(profile(), tmp_path / "a.json")
     write_profile(profile(480, 270), tmp_path / "wide.json")
-    command = ["frames", str(tmp_path / "town" / "flight.mp4"), str(tmp_path / "made")]
+    command = ["frames", str(tmp_path / "town" / "video.mp4"), str(tmp_path / "made")]
     command += ["--keyframes.method", "every-nth", "--camera"]
     assert main([*command, str(tmp_path / "wide.json")]) == 2
     assert "does not fit pictures of 96 x 72 px" in capsys.readouterr().err

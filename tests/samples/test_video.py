@@ -75,7 +75,7 @@ def telemetry(path: Path) -> list[dict[str, str]]:
 
 def test_the_video_holds_the_pictures_in_their_order_and_time(made: tuple[Path, Scene]) -> None:
     folder, scene = made
-    with av.open(str(folder / "flight.mp4")) as container:
+    with av.open(str(folder / "video.mp4")) as container:
         stream = container.streams.video[0]
         assert stream.codec_context.name in ("h264", "mpeg4")
         assert stream.average_rate == 2  # a picture each half second
@@ -176,7 +176,7 @@ def test_without_pyav_the_cure_is_told_before_anything_is_rendered(
 
 def test_the_subtitles_are_the_priors(made: tuple[Path, Scene]) -> None:
     folder, scene = made
-    blocks = telemetry(folder / "flight.srt")
+    blocks = telemetry(folder / "video.srt")
     assert len(blocks) == len(scene)
     origin = (ORIGIN.latitude, ORIGIN.longitude, ORIGIN.altitude)
     for number, (block, frame) in enumerate(zip(blocks, scene.frames, strict=True)):
@@ -249,8 +249,8 @@ def test_the_video_does_not_change_the_rest_and_is_the_same_each_time(
     make_sample(tmp_path / "again", SMALL, seed=2)
     make_sample(tmp_path / "silent", SMALL.replace({"video": False}), seed=2)
     names = {path.name for path in folder.iterdir()}
-    assert names - {path.name for path in (tmp_path / "silent").iterdir()} == {"flight.mp4", "flight.srt"}
-    for name in ("flight.mp4", "flight.srt", "scene.json", "images/frame_0003.jpg"):
+    assert names - {path.name for path in (tmp_path / "silent").iterdir()} == {"video.mp4", "video.srt"}
+    for name in ("video.mp4", "video.srt", "scene.json", "images/frame_0003.jpg"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
     for name in ("scene.json", "images/frame_0003.jpg"):
         assert (tmp_path / "silent" / name).read_bytes() == (folder / name).read_bytes()

@@ -43,7 +43,7 @@ class SampleSettings(Settings):
     flight = Group(FlightSettings())
     sensors = Group(SensorSettings())
     points = Integer(4000, bounds=(0, 1000000), doc="Number of surface points in the true scene, at most.")
-    video = Boolean(False, doc="Also write the pictures as flight.mp4 and the sensors' readings as flight.srt.")
+    video = Boolean(False, doc="Also write the pictures as video.mp4 and the sensors' readings as video.srt.")
 
 
 def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progress: Progress = silent) -> Scene:
@@ -53,7 +53,7 @@ def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progre
     pictures in ``images/`` (with the priors in their tags, as a drone writes them), for each frame a depth map in
     ``depth/<frame name>.npz`` (see :func:`read_depth`) and ``sample.json`` with settings and seed. It appears whole
     or not at all. The same settings and seed give the same files on the same machine. With ``video`` there is the
-    flight as ``flight.mp4`` too, in real time, and the priors as DJI's subtitles in ``flight.srt``.
+    flight as ``video.mp4`` too, in real time, and the priors as DJI's subtitles in ``video.srt``.
 
     Returns
     -------
@@ -86,8 +86,8 @@ def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progre
             write_scene(scene, temporary)
             if settings.video:
                 rate = 1 / settings.flight.frame_interval
-                write_video(scene, temporary / "flight.mp4", frames_per_second=rate, progress=progress)
-                write_srt(scene, temporary / "flight.srt", frames_per_second=rate)
+                write_video(scene, temporary / "video.mp4", frames_per_second=rate, progress=progress)
+                write_srt(scene, temporary / "video.srt", frames_per_second=rate)
             write_json(temporary / "sample.json", {"seed": seed, "settings": settings.to_dict()})
             if folder.exists():
                 folder.rmdir()
