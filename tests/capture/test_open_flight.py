@@ -133,9 +133,7 @@ def test_a_log_that_begins_by_itself_is_told(town_flight: tuple[Path, Scene], tm
 def test_what_fails_leaves_no_folder(town_flight: tuple[Path, Scene], tmp_path: Path) -> None:
     folder, _ = town_flight
     wrong = EACH.replace({"telemetry.attitude_source": "flight"})
-    with pytest.raises(
-        SettingsError, match=r"no flight attitude in .*flight\.srt; expected attitude_source gimbal"
-    ):
+    with pytest.raises(SettingsError, match=r"no flight attitude in .*video\.srt; expected attitude_source gimbal"):
         open_flight(folder / "video.mp4", folder / "video.srt", tmp_path / "made", wrong)
     with pytest.raises(DataError, match="Unknown camera model 'LENS'"):
         open_flight(folder / "video.mp4", None, tmp_path / "made", EACH.replace({"camera_model": "LENS"}))
