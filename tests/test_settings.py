@@ -102,7 +102,7 @@ def test_unknown_setting_unlike_any_other_gets_no_suggestion() -> None:
 
 def test_key_that_is_no_text_is_unknown_too() -> None:
     with pytest.raises(SettingsError, match="Unknown setting '3' of Matcher"):
-        Matcher.from_dict({3: 1})  # type: ignore[dict-item]
+        Matcher.from_dict({3: 1})
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def moge(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for name, model in (("v1", StandIn), ("v2", Metric)):
         module = ModuleType(f"moge.model.{name}")
-        module.MoGeModel = model  # type: ignore[attr-defined]
+        module.MoGeModel = model
         monkeypatch.setitem(sys.modules, module.__name__, module)
     for name in ("moge", "moge.model"):
         package = ModuleType(name)

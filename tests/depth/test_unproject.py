@@ -45,7 +45,7 @@ class Given:
 def level(depth: float = 62.0, **options: object) -> Given:
     """Return a provider of one depth in scene units for pictures of 40x30."""
     values = np.full((30, 40), depth, np.float32)
-    return Given(DepthPrediction(values, "metric", in_scene_units=True, **options))  # type: ignore[arg-type]
+    return Given(DepthPrediction(values, "metric", in_scene_units=True, **options))
 
 
 def test_true_depth_gives_points_on_the_true_surface(

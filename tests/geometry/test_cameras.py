@@ -159,7 +159,7 @@ def test_camera_fulfils_the_protocol(camera: ColmapCamera) -> None:
 
 
 def test_params_become_plain_floats() -> None:
-    camera = ColmapCamera("PINHOLE", 4, 4, np.array([1, 1, 2, 2], dtype=np.int32))  # type: ignore[arg-type]
+    camera = ColmapCamera("PINHOLE", 4, 4, np.array([1, 1, 2, 2], dtype=np.int32))
     assert camera.params == (1.0, 1.0, 2.0, 2.0)
     assert {type(value) for value in camera.params} == {float}
 

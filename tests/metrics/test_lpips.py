@@ -305,7 +305,7 @@ def test_download_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_unknown_net_is_refused() -> None:
     with pytest.raises(CapabilityError, match="No LPIPS with 'resnet'; expected alex, vgg, squeeze; found resnet"):
-        Lpips("resnet")  # type: ignore[arg-type]
+        Lpips("resnet")
 
 
 @pytest.mark.parametrize("with_weights", [True, False])

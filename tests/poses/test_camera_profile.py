@@ -99,7 +99,7 @@ def test_cameras_of_the_same_aspect_ratio_are_scaled() -> None:
     assert made.cameras[1] == ColmapCamera("SIMPLE_RADIAL", 960, 540, (750.25, 480.125, 270.0, -0.0125))
     # 1366 x 768 is 16:9 to the rounding of a pixel.
     assert made.cameras[2] == PROFILE.camera.scaled(1366, 768)
-    assert all(camera.prior_focal_length for camera in made.cameras.values())  # type: ignore[attr-defined]
+    assert all(camera.prior_focal_length for camera in made.cameras.values())
 
 
 def test_pictures_of_another_format_or_lens_are_refused() -> None:

@@ -74,7 +74,7 @@ def changed(scene: Scene, offset: float = 0.0, ahead: float = 0.0) -> Scene:
 
 def within(estimate: object, truth: float) -> bool:
     """Return whether an estimate is determined and within four of its standard deviations."""
-    value, sigma = estimate.value, estimate.sigma  # type: ignore[attr-defined]
+    value, sigma = estimate.value, estimate.sigma
     return value is not None and abs(value - truth) < 4.0 * sigma
 
 
@@ -177,7 +177,7 @@ def test_what_is_missing_is_said() -> None:
 def angles(scene: Scene) -> np.ndarray:
     """Return degrees between each reading and the pose."""
     pairs = [(f.prior, f.cam_from_world) for f in scene.frames]
-    return np.degrees([rotation_angle(p.rotation @ c.rotation.T) for p, c in pairs])  # type: ignore[union-attr]
+    return np.degrees([rotation_angle(p.rotation @ c.rotation.T) for p, c in pairs])
 
 
 def test_corrected_readings_are_left_with_their_noise() -> None:
@@ -200,7 +200,7 @@ def test_corrected_readings_are_left_with_their_noise() -> None:
     better = correct(scene, estimate_biases(scene, turns=turns), turns=turns)
     assert angles(scene).min() > 2.0
     assert angles(better).max() < 0.6
-    left = np.array([f.prior.position for f in better.frames]) - scene.centres()  # type: ignore[union-attr]
+    left = np.array([f.prior.position for f in better.frames]) - scene.centres()
     # Where a strip ends the motion from photo to photo is not that at the photo.
     inside = left[[i for i in range(len(left)) if i % 12 not in (0, 11)]]
     assert np.abs(inside - inside.mean(axis=0)).max() < 5 * 0.2

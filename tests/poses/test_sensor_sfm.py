@@ -38,7 +38,7 @@ def test_pictures_take_sensor_poses_to_their_own_accuracy(tmp_path: Path) -> Non
     assert len(found.scene.registered) == len(scene)
     assert found.warnings == ()
     assert found.rounds[-1].focal == "refined"
-    assert found.scene.cameras[1].intrinsics[0, 0] == pytest.approx(700.0, rel=0.01)  # type: ignore[attr-defined]
+    assert found.scene.cameras[1].intrinsics[0, 0] == pytest.approx(700.0, rel=0.01)
     shape = trajectory_errors(found.scene, truth, "sim3")
     # 0.3 px at 700 px and 50 m are 2 cm for one ray; hundreds of points average that down.
     assert shape.pos < 0.03

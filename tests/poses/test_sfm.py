@@ -87,7 +87,7 @@ def test_the_report_is_json_and_adds_up(tmp_path: Path) -> None:
     assert camera["model"] == "SIMPLE_RADIAL"
     assert camera["names"] == "f, cx, cy, k"
     assert camera["before"] == [1280, 512, 384, 0.05]
-    assert camera["after"] == list(result.scene.cameras[camera["camera_id"]].params)  # type: ignore[attr-defined]
+    assert camera["after"] == list(result.scene.cameras[camera["camera_id"]].params)
     assert camera["after"] != camera["before"]
     assert set(report["seconds"]) == {"mapping", "adjustment"}
 
@@ -206,7 +206,7 @@ def rotation_errors(model: pycolmap.Reconstruction, truth: Scene) -> np.ndarray:
 def test_pictures_without_features_are_told(tmp_path: Path) -> None:
     truth, _ = synthetic_matches(tmp_path, frames=3)
     empty = tmp_path / "empty.db"
-    create_database(empty, truth, truth.cameras)  # type: ignore[arg-type]
+    create_database(empty, truth, truth.cameras)
     with pytest.raises(StageError, match=r"at least 2 pictures with 20 features; found 0 of 3\. Check .*sharp"):
         run(truth, empty)
 

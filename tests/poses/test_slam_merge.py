@@ -225,7 +225,10 @@ def test_frames_are_found_by_time_where_the_scene_has_fewer() -> None:
 def test_a_scene_takes_one_segment_or_all() -> None:
     truth = orbit()
     scene, result = video(truth, attitude=0.0), tracked(truth, *SPANS)
-    largest, last, merged = (place_segments(scene, result, how) for how in ("largest", "last", "merge"))
+    placed = [place_segments(scene, result, how) for how in ("largest", "last", "merge")]
+    assert [each.segments for each in placed] == [(0,), (len(SPANS) - 1,), tuple(range(len(SPANS)))]
+    assert [bool(each.merged) for each in placed] == [False, False, True]
+    largest, last, merged = (each.scene for each in placed)
     assert [frame.name for frame in largest.registered] == [f"{i:03}.png" for i in range(0, 50, 5)]
     assert [frame.name for frame in last.registered] == [f"{i:03}.png" for i in range(100, 150, 5)]
     assert largest.georeference is None

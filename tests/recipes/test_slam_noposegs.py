@@ -15,13 +15,13 @@ from toolkit.capture.frames import VideoFrames
 from toolkit.capture.video import VideoInfo
 from toolkit.errors import DataError, MissingDependencyError
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.poses.slam.result import SlamSegment
+from toolkit.poses.slam.result import SlamResult, SlamSegment
 from toolkit.progress import silent
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput
 from toolkit.recipes.flight_video import film_of, scene_by_video
 from toolkit.recipes.presets import recipe_presets, with_preset
 from toolkit.recipes.registry import find_recipe
-from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM, TRAJECTORY
+from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM, TRAJECTORIES
 from toolkit.samples.drone_flights import OrbitVideoSettings, make_drone_flight
 from toolkit.scene import Scene
 from toolkit.scene.dataset import capture_fingerprint, open_capture
@@ -113,15 +113,25 @@ def test_a_filmed_flight_is_tracked_and_becomes_a_splat(flight: RecipeInput, con
     assert start < 0.4
     assert result.metrics["test.psnr"] is not None
     # Poses of all frames of the video, by their times in it.
-    trajectory = read_tum(first.artifacts / TRAJECTORY)
+    trajectory = read_tum(first.artifacts / TRAJECTORIES / "0.tum")
     assert len(trajectory) == result.reports["slam"]["tracked"]
     assert set(np.round(trajectory.times / 0.1).astype(int)) <= set(range(FRAMES))
 
     second = context("second")
     again = ORB_PNP.run(flight, quick(ORB_PNP), second)
     assert [time.name for time in again.times if time.reused] == ["slam", "points", "undistort"]
-    assert (second.artifacts / TRAJECTORY).is_file()
+    assert (second.artifacts / TRAJECTORIES / "0.tum").is_file()
     assert again.metrics["test.psnr"] == result.metrics["test.psnr"]
+
+
+def test_segments_merged_by_gps_are_in_the_metres_of_the_sensors(flight: RecipeInput, context: Context) -> None:
+    result = ORB_PNP.run(flight, quick(ORB_PNP, segment="merge"), context("merged"))
+    assert result.reports["slam"]["merged"]["segments"][0]["reason"] == ""
+    assert result.scene.georeference == flight.scene.georeference
+    # Unaligned: nine positions with errors of 1.5 m an axis place the path to less than one of them is off.
+    off = result.metrics["start.none.pos"]
+    assert off is not None
+    assert off < 2.4
 
 
 @pytest.mark.slow
@@ -190,10 +200,11 @@ def test_a_flight_made_of_a_video_keeps_it(flight: RecipeInput, tmp_path: Path) 
 # ------------------------------------------------------------------------------- poses of pictures by their times
 
 
-def segment(numbers: list[int], times: np.ndarray) -> SlamSegment:
+def tracked(numbers: list[int], times: np.ndarray) -> SlamResult:
     poses = tuple(RigidTransform(np.eye(3), np.array([number, 0.0, 0.0])) for number in numbers)
     timed = TimedPoses(times[numbers], poses)
-    return SlamSegment(timed, np.array(numbers), timed, np.array(numbers))
+    segment = SlamSegment(timed, np.array(numbers), timed, np.array(numbers))
+    return SlamResult("by hand", (segment,), len(times), np.zeros(len(times)), 0.0)
 
 
 def film(times: np.ndarray) -> VideoFrames:
@@ -210,7 +221,7 @@ def test_pictures_get_the_poses_of_their_frames_and_untracked_ones_none(flight: 
     times = np.arange(10) / 10.0
     # Clocks are rounded: 20 ms of the 100 from frame to frame.
     scene = stamped(flight.scene, [0.02, 0.38, 0.8])
-    posed = scene_by_video(scene, segment([3, 4, 5, 8], times), film(times))
+    posed = scene_by_video(scene, tracked([3, 4, 5, 8], times), "largest", film(times)).scene
     assert [frame.time for frame in posed.frames] == [0.02, 0.38, 0.8]
     assert posed.frames[0].cam_from_world is None
     for frame, number in zip(posed.frames[1:], (4, 8), strict=True):
@@ -229,4 +240,4 @@ def test_pictures_that_are_no_frames_of_the_video_are_refused(
 ) -> None:
     of_video = np.arange(10) / 10.0
     with pytest.raises(DataError, match=rf"not frames of the video.*of 3 pictures {found}"):
-        scene_by_video(stamped(flight.scene, times), segment([3, 4, 8], of_video), film(of_video))
+        scene_by_video(stamped(flight.scene, times), tracked([3, 4, 8], of_video), "largest", film(of_video))

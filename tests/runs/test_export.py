@@ -211,7 +211,7 @@ def test_unknown_formats_are_refused(splat_run: RunFolder, tmp_path: Path) -> No
     with pytest.raises(
         RunError, match="Unknown format 'obj'; expected ply, spz, colmap, scene, transforms, tum, kitti"
     ):
-        export_run(splat_run, tmp_path / "town", "obj")  # type: ignore[arg-type]
+        export_run(splat_run, tmp_path / "town", "obj")
 
 
 @pytest.mark.parametrize("format", ["scene", "transforms"])

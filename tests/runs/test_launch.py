@@ -93,7 +93,7 @@ def test_the_recipe_gets_frozen_settings_and_its_own_folders(queued: MakeRun) ->
     execute(run, recipe=dataclasses.replace(RECIPE, run=spy))
     data, settings, context = seen[0]
     with pytest.raises(SettingsError, match="belongs to a started job"):
-        settings.pause = 1.0  # type: ignore[attr-defined]
+        settings.pause = 1.0
     assert context.seed == 5
     assert context.device == "cpu"
     assert context.artifacts == run.artifacts

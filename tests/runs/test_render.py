@@ -157,7 +157,7 @@ def test_unknown_words_are_wrong_usage_and_the_help_has_an_example(capsys: pytes
 )
 def test_unknown_options_are_refused(option: str, value: str, said: str) -> None:
     with pytest.raises(SettingsError, match=said):
-        RenderOptions(**{option: value})  # type: ignore[arg-type]
+        RenderOptions(**{option: value})
 
 
 def test_scenes_without_the_path_are_told(run: RunFolder, tmp_path: Path) -> None:

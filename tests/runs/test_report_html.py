@@ -104,7 +104,7 @@ def test_names_are_shown_as_written_and_do_nothing(runs: list[RunFolder], tmp_pa
         trace["name"]
         for variants in figures_of(text).values()
         for figure in variants.values()
-        for trace in figure["data"]  # type: ignore[attr-defined]
+        for trace in figure["data"]
         if "name" in trace
     }
     assert "&lt;script&gt;alert(1)&lt;b&gt;&amp;'\"" in names  # Plotly reads tags in names
@@ -154,12 +154,12 @@ def test_missing_pictures_are_told_in_their_place(runs: list[RunFolder], tmp_pat
 def test_curves_times_and_trajectories_are_drawn(runs: list[RunFolder], tmp_path: Path) -> None:
     text = page_of(runs, tmp_path)
     figures = figures_of(text)
-    titles = [next(iter(variants.values()))["layout"]["title"]["text"] for variants in figures.values()]  # type: ignore[index]
+    titles = [next(iter(variants.values()))["layout"]["title"]["text"] for variants in figures.values()]
     assert [title for title in titles if title] == ["loss (train)", "total (train)"]
     curves = next(variants for variants in figures.values() if "step" in variants)
     assert set(curves) == {"step", "time"}
-    assert len(curves["step"]["data"]) == 3  # type: ignore[arg-type]  # the failed run has a curve too
-    kinds = {trace["type"] for variants in figures.values() for f in variants.values() for trace in f["data"]}  # type: ignore[attr-defined]
+    assert len(curves["step"]["data"]) == 3  # the failed run has a curve too
+    kinds = {trace["type"] for variants in figures.values() for f in variants.values() for trace in f["data"]}
     assert kinds == {"scatter", "bar", "scatter3d"}
     assert "Aligned to &lt;script&gt;" in text  # no reference: to the first run
     for key in figures:

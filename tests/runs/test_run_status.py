@@ -17,7 +17,7 @@ from toolkit.runs.status import SILENCE, RunStatus, read_status, utc_now, write_
 def running(**changes: object) -> RunStatus:
     now = utc_now()
     status = RunStatus("running", "train", 3, 10, "hm", now, now, process=ProcessMark.current())
-    return replace(status, **changes)  # type: ignore[arg-type]
+    return replace(status, **changes)
 
 
 def ago(seconds: float) -> str:

@@ -94,7 +94,7 @@ def sample(server: Server, **changes: object) -> DataSet:
         local="sample_here",
         notes="None",
     )
-    return replace(whole, **changes)  # type: ignore[arg-type]
+    return replace(whole, **changes)
 
 
 def content(folder: Path) -> dict[str, bytes]:

@@ -115,7 +115,7 @@ class _Zero(np.random.Generator):
     def __init__(self) -> None:
         super().__init__(np.random.PCG64(0))
 
-    def normal(self, size: int) -> Array:  # type: ignore[override]
+    def normal(self, size: int) -> Array:
         return np.zeros(size)
 
 
@@ -225,8 +225,8 @@ def test_the_pictures_tell_the_same_as_the_priors(tmp_path: Path, pattern: dict[
     assert found.warnings == ()
     photos = found.scene
     assert photos.georeference is not None
-    assert photos.cameras[1].params[0] == pytest.approx(scene.cameras[1].params[0], rel=1e-4)  # type: ignore[attr-defined]
-    assert photos.cameras[1].prior_focal_length  # type: ignore[attr-defined]
+    assert photos.cameras[1].params[0] == pytest.approx(scene.cameras[1].params[0], rel=1e-4)
+    assert photos.cameras[1].prior_focal_length
     there = photos.georeference
     theirs = (there.latitude, there.longitude, there.altitude)
     ours = (ORIGIN.latitude, ORIGIN.longitude, ORIGIN.altitude)
@@ -243,7 +243,7 @@ def test_the_pictures_tell_the_same_as_the_priors(tmp_path: Path, pattern: dict[
         np.testing.assert_allclose(exact, frame.prior.position, atol=1e-3)
         # As they are: axes 100 m apart differ by 1.6e-5, which is 2.2 mm on 140 m.
         np.testing.assert_allclose(photo.prior.position, frame.prior.position - start.position, atol=4e-3)
-        turn = photo.prior.rotation @ frame.prior.rotation.T  # type: ignore[union-attr, operator]
+        turn = photo.prior.rotation @ frame.prior.rotation.T
         assert math.degrees(rotation_angle(turn)) < 0.01
         assert photo.time == pytest.approx(frame.time, abs=1e-6)
         if rtk:

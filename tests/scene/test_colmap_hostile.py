@@ -21,7 +21,7 @@ from toolkit.scene import Scene
 from toolkit.scene.colmap import read_colmap, write_colmap
 
 PICTURES = Path("/pictures")
-XYZ = small_scene().points.xyz  # type: ignore[union-attr]
+XYZ = small_scene().points.xyz
 KINDS = ("cameras", "images", "points3D")
 
 

@@ -309,7 +309,7 @@ def test_the_fingerprint_tells_what_a_method_could_see(tmp_path: Path) -> None:
     assert capture_fingerprint(scene.replace(points=posed(tmp_path).points)) == first, "it depends on points"
 
     def changed(**change: object) -> Scene:
-        return scene.replace(frames=(dataclasses.replace(scene.frames[0], **change), *scene.frames[1:]))  # type: ignore[arg-type]
+        return scene.replace(frames=(dataclasses.replace(scene.frames[0], **change), *scene.frames[1:]))
 
     others = [
         changed(split="train"),

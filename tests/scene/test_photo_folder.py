@@ -94,7 +94,7 @@ def test_the_start_focal_length_is_colmaps(tmp_path: Path) -> None:
         found = scene_from_photos(path.parent)
         # COLMAP rounds the diagonal of full frame to 43.27 mm.
         assert focal(found) == pytest.approx(bitmap.exif_focal_length(), rel=1e-4)
-        assert found.scene.cameras[1].prior_focal_length  # type: ignore[attr-defined]
+        assert found.scene.cameras[1].prior_focal_length
         assert found.warnings == ()
 
 
@@ -102,7 +102,7 @@ def test_without_tags_the_focal_length_is_a_guess_from_the_longer_side(tmp_path:
     photo(tmp_path / "a.png", (30, 50), photo={0x920A: IFDRational(5, 1)})
     found = scene_from_photos(tmp_path)
     assert focal(found) == 60.0
-    assert not found.scene.cameras[1].prior_focal_length  # type: ignore[attr-defined]
+    assert not found.scene.cameras[1].prior_focal_length
 
 
 def test_the_focal_plane_is_that_of_the_picture_before_it_was_resized(tmp_path: Path) -> None:

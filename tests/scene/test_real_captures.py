@@ -49,7 +49,7 @@ def test_brighton_has_a_position_for_every_photo(real_data: Path) -> None:
     assert origin is not None
     # Brighton Beach, Duluth, Minnesota.
     assert (round(origin.latitude, 1), round(origin.longitude, 1)) == (46.8, -92.0)
-    assert next(iter(capture.scene.cameras.values())).prior_focal_length  # type: ignore[attr-defined]
+    assert next(iter(capture.scene.cameras.values())).prior_focal_length
 
 
 def sift_matches(capture: Capture, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:

@@ -197,13 +197,13 @@ class TestLike:
         assert [f.cam_from_world is None for f in merged.frames] == [False, False, True]
         assert dict(merged.cameras) == {5: ColmapCamera.pinhole(64, 48, 71.0)}
         # The reconstruction's camera did not know it any more.
-        assert merged.cameras[5].prior_focal_length  # type: ignore[attr-defined]
+        assert merged.cameras[5].prior_focal_length
 
     def test_cameras_that_were_split_get_new_numbers(self) -> None:
         like = self.scene({"a.jpg": 5, "b.jpg": 5, "c.jpg": 5})
         merged = scene_from_pycolmap(self.reconstruction({"a.jpg": 1, "b.jpg": 2}), PICTURES, like=like)
         assert [f.camera_id for f in merged.frames] == [6, 7, 5]
-        assert [merged.cameras[i].params[0] for i in (5, 6, 7)] == [50.0, 71.0, 72.0]  # type: ignore[attr-defined]
+        assert [merged.cameras[i].params[0] for i in (5, 6, 7)] == [50.0, 71.0, 72.0]
 
     def test_a_camera_that_lost_all_its_frames_goes(self) -> None:
         like = self.scene({"a.jpg": 5, "b.jpg": 5})

@@ -1,4 +1,4 @@
-"""Judging after refinement: known similarities are undone, test poses found from photos; the unit cube."""
+"""Judging after refinement: known similarities are undone, test poses found from photos."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -23,19 +23,15 @@ from toolkit.recipes.base import RecipeContext, RecipeInput, StageTime
 from toolkit.recipes.cached import CachedStage
 from toolkit.recipes.measure_refined import judged_poses, measure_refined_test_renders
 from toolkit.recipes.steps import SCENE, PosedStages, train_and_measure
-from toolkit.scene import Georeference, PosePrior, Scene
+from toolkit.scene import Scene
 from toolkit.scene.folder import write_scene
 from toolkit.splat.align_test import aligned_test_scene, refine_test_poses
 from toolkit.splat.evaluate import render_test_views
-from toolkit.splat.gaussians import Gaussians
-from toolkit.splat.images import load_photo
 from toolkit.splat.lie import exp_se3
 from toolkit.splat.pose_presets import POSE_PRESETS, pose_preset_settings
 from toolkit.splat.pose_refine import pose_change
-from toolkit.splat.rasterize import rasterize
 from toolkit.splat.train import TrainResult
 from toolkit.splat.train_settings import Schedule, TrainSettings, camera_rate, means_rate
-from toolkit.splat.unit_cube import UnitCube
 from toolkit.workspace import Workspace
 
 KNOWN = Similarity(
@@ -230,66 +226,6 @@ def test_a_recipe_reports_refined_and_start_poses_and_both_kinds_of_test_renders
     assert before is not None
     assert after is not None
     assert not np.array_equal(before.matrix, after.matrix)
-
-
-def with_prior(scene: Scene) -> Scene:
-    prior = PosePrior(position=np.array([1.0, 2, 3]), position_sigma=np.array([0.1, 0.2, 0.3]))
-    first, *rest = scene.frames
-    return scene.replace(frames=(replace(first, prior=prior), *rest), georeference=Georeference(48.0, 9.0, 600.0))
-
-
-@pytest.mark.parametrize("size", [1e-3, 1.0, 7e4])
-def test_a_scene_comes_back_from_the_unit_cube_as_it_was(scene: Scene, size: float) -> None:
-    scaled = UnitCube(Similarity(size, np.eye(3), size * np.array([5.0, 6, 7])), None).into(with_prior(scene))
-    original = scaled.replace(georeference=Georeference(48.0, 9.0, 600.0))
-    cube = UnitCube.of(original)
-    inside = cube.into(original)
-    centres = inside.centres()
-    assert np.abs(centres).max() <= 0.5
-    assert 0.5 <= np.ptp(centres, axis=0).max() <= 1
-    assert inside.georeference is None
-    again = cube.back(inside)
-    assert again.georeference == original.georeference
-    # A few roundings of coordinates as large as the scene is far from its origin.
-    close: dict[str, Any] = {"rtol": 0, "atol": 1e-13 * 50 * size}
-    for before, after in zip(original.frames, again.frames, strict=True):
-        assert before.cam_from_world is not None
-        assert after.cam_from_world is not None
-        assert np.array_equal(after.cam_from_world.rotation, before.cam_from_world.rotation)
-        np.testing.assert_allclose(after.cam_from_world.translation, before.cam_from_world.translation, **close)
-    assert original.points is not None
-    assert again.points is not None
-    np.testing.assert_allclose(again.points.xyz, original.points.xyz, **close)
-    before_prior, after_prior = original.frames[0].prior, again.frames[0].prior
-    assert before_prior is not None
-    assert after_prior is not None
-    np.testing.assert_allclose(after_prior.position, before_prior.position, **close)
-    np.testing.assert_array_equal(after_prior.position_sigma, before_prior.position_sigma)
-    assert again.frames[1].prior is None
-
-
-def test_gaussians_of_the_cube_draw_the_same_pictures_outside(scene: Scene) -> None:
-    cube = UnitCube.of(scene)
-    inside = cube.into(scene)
-    small = _scaled(true_gaussians(), cube.cube_from_scene)
-    outside = cube.gaussians_back(small)
-    for one, other in ((small, inside), (outside, scene)):
-        photo = load_photo(other, other.frames[1], 400)
-        drawn = rasterize(one, photo.views).colour[0].clamp(0, 1)
-        # The photo is a render of the truth in 8 bits.
-        assert psnr(drawn.numpy(), photo.colours().numpy()) > 45
-
-
-def _scaled(gaussians: Gaussians, similarity: Similarity) -> Gaussians:
-    means = torch.from_numpy(similarity.apply(gaussians.means.numpy())).float()
-    return replace(gaussians, means=means, log_scales=gaussians.log_scales + math.log(similarity.scale))
-
-
-def test_one_camera_has_no_size(scene: Scene) -> None:
-    with pytest.raises(StageError, match="how large the scene is; .* found 1 poses at one place"):
-        UnitCube.of(scene.replace(frames=scene.frames[:1]))
-    with pytest.raises(StageError, match="found 0 poses"):
-        UnitCube.of(scene.without_poses())
 
 
 @pytest.mark.parametrize(

@@ -298,12 +298,12 @@ def test_gaussians_elsewhere_are_not_moved_behind_the_back(monkeypatch: pytest.M
 def test_without_kernels_the_cure_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     backend = ModuleType("gsplat.cuda._backend")
     monkeypatch.setitem(sys.modules, backend.__name__, backend)
-    backend._C = None  # type: ignore[attr-defined]
+    backend._C = None
     with pytest.raises(
         CapabilityError, match=r"gsplat cannot draw here; expected its CUDA kernels; .*CUDA toolkit"
     ):
         cuda._require_kernels()
-    backend._C = object()  # type: ignore[attr-defined]
+    backend._C = object()
     cuda._require_kernels()
 
 

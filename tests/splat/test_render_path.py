@@ -81,7 +81,7 @@ def test_a_turntable_looks_at_its_centre_from_a_circle(up: tuple[float, float, f
 def test_impossible_turntables_are_refused(changes: dict[str, object], message: str) -> None:
     arguments: dict[str, object] = {"frames": 4, "radius": 1.0, "elevation": 30.0, **changes}
     with pytest.raises(SettingsError, match=message):
-        turntable((0, 0, 0), **arguments)  # type: ignore[arg-type]
+        turntable((0, 0, 0), **arguments)
 
 
 def test_the_turntable_of_a_scene_is_as_far_and_high_as_its_cameras() -> None:
@@ -232,7 +232,7 @@ def test_colours_of_depth_run_from_dark_to_bright_and_stop_at_the_ends() -> None
 
 def test_what_cannot_be_rendered_is_told_at_the_call() -> None:
     with pytest.raises(SettingsError, match="expected colour, depth, median_depth, alpha; found heat"):
-        render_frames(true_gaussians(), CAMERA, [POSE], what="heat")  # type: ignore[arg-type]
+        render_frames(true_gaussians(), CAMERA, [POSE], what="heat")
     bent = ColmapCamera("SIMPLE_RADIAL", WIDTH, HEIGHT, (38.0, 18.0, 12.0, 0.1))
     with pytest.raises(
         DataError, match="The camera cannot be drawn; expected a pinhole camera; found SIMPLE_RADIAL"

@@ -67,14 +67,14 @@ def test_names_are_escaped_wherever_they_stand(pair: list[RunFolder], odd_name: 
         assert "<img src=x" not in text
         assert "&lt;script&gt;window.harm=1&lt;img src=x" in text
     for figure in figures(view):
-        for trace in figure["data"]:  # type: ignore[attr-defined]
+        for trace in figure["data"]:
             assert "<" not in trace.get("name", "")
 
 
 def test_curves_paths_times_and_views_are_drawn(pair: list[RunFolder]) -> None:
     view = compared(*pair)
     drawn = figures(view)
-    kinds = {trace["type"] for figure in drawn for trace in figure["data"]}  # type: ignore[attr-defined]
+    kinds = {trace["type"] for figure in drawn for trace in figure["data"]}
     assert kinds == {"scatter", "bar", "scatter3d"}
     assert [curve.name for curve in view.curves] == ["loss", "total"]
     assert len(drawn) == 5  # two curves, PSNR by picture, paths, times

@@ -99,6 +99,24 @@ def keypoint_counts(path: Path) -> dict[str, int | None]:
     return {str(name): None if count is None else int(count) for name, count in rows}
 
 
+def require_same_frames(path: Path, scene: Scene) -> None:
+    """Check that a database has the frames of a scene, in their order.
+
+    It is read before COLMAP opens it: two SQLite libraries must not have it open at the same time.
+
+    Raises
+    ------
+    DataError
+        Where it has others, or is missing or damaged.
+    """
+    if list(keypoint_counts(path)) != [frame.name for frame in scene.frames]:
+        raise DataError(
+            f"{path} does not belong to this scene",
+            expected=f"its {len(scene.frames)} frames in their order",
+            todo="Extract and match the features of this scene first",
+        )
+
+
 def match_counts(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return pairs (P, 2) of frame indices that were matched, their matches (P,) and verified inliers (P,).
 

@@ -12,9 +12,9 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from toolkit.errors import DataError, StageError
+from toolkit.errors import StageError
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import keypoint_counts, match_counts, names_without_spaces, settle, watch
+from toolkit.matching.database import match_counts, names_without_spaces, require_same_frames, settle, watch
 from toolkit.matching.pairs import ChosenPairs, connected_groups
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
@@ -136,13 +136,7 @@ def match_pairs(
         For a database that has matches already: COLMAP would skip those pairs and keep what other settings gave.
     """
     start = time.perf_counter()
-    names = tuple(frame.name for frame in scene.frames)
-    if tuple(keypoint_counts(database_path)) != names:
-        raise DataError(
-            f"{database_path} does not belong to this scene",
-            expected=f"its {len(names)} frames in their order",
-            todo="Extract the features of this scene first",
-        )
+    require_same_frames(database_path, scene)
     if len(match_counts(database_path)[0]):
         raise StageError(
             f"{database_path} has matches already",
@@ -175,6 +169,7 @@ def match_pairs(
 
         run_colmap(match, event, progress, database_path)
     settle(database_path)
+    names = tuple(frame.name for frame in scene.frames)
     return MatchReport(names, *match_counts(database_path), seconds=time.perf_counter() - start)
 
 

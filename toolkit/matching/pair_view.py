@@ -11,7 +11,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError
-from toolkit.matching.database import NOT_VERIFIED, keypoint_counts, settle
+from toolkit.matching.database import NOT_VERIFIED, require_same_frames, settle
 from toolkit.scene import Scene
 
 
@@ -55,13 +55,7 @@ def matched_pixels(database_path: Path, scene: Scene, first: str, second: str) -
         Where the database is missing, damaged or of another scene, or has no such pair of frames.
     """
     names = [frame.name for frame in scene.frames]
-    # Counted before COLMAP opens the file: two SQLite libraries must not have it open at the same time.
-    if list(keypoint_counts(database_path)) != names:
-        raise DataError(
-            f"{database_path} does not belong to this scene",
-            expected=f"its {len(names)} frames in their order",
-            todo="Extract the features of this scene first",
-        )
+    require_same_frames(database_path, scene)
     if first == second:
         raise DataError(f"A pair needs two different frames, '{first}' is named twice")
     one, other = (names.index(scene.frame(name).name) + 1 for name in (first, second))

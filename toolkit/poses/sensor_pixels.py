@@ -13,9 +13,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from toolkit.errors import DataError
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
-from toolkit.matching.database import keypoint_counts
+from toolkit.matching.database import require_same_frames
 from toolkit.poses.sensor_turns import BASELINE_SIGMAS, QUARTERS, RelativePose, angle_between, find_quarters
 from toolkit.poses.sensors import some, turned
 from toolkit.progress import Progress, silent, track
@@ -110,8 +109,7 @@ def check_pixels(scene: Scene, database_path: Path, *, progress: Progress = sile
         For a database that is missing or of another scene.
     """
     names = tuple(frame.name for frame in scene.frames)
-    if tuple(keypoint_counts(database_path)) != names:
-        raise DataError(f"{database_path} does not belong to this scene", expected=f"its {len(names)} frames")
+    require_same_frames(database_path, scene)
     pairs = _relative_poses(scene, database_path, progress)
     poses = [frame.cam_from_world for frame in scene.frames]
     sigmas = _sigmas(scene)

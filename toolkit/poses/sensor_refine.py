@@ -16,6 +16,7 @@ from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
 from toolkit.poses.resection import Resection, place_by_points
 from toolkit.poses.sensor_biases import correct, estimate_biases
 from toolkit.poses.sensors import SensorPoseSettings
+from toolkit.poses.triangulation import triangulation_options
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Scene, scene_from_pycolmap
 from toolkit.settings import Boolean, Integer, Number
@@ -151,7 +152,14 @@ class Refinement:
             # COLMAP writes the model here, and to a folder beside it first.
             self._database.parent / "model",
             clear_points=True,
-            options=_options(settings, limit, pixels, self._seed),
+            options=triangulation_options(
+                degrees=limit,
+                pixels=pixels,
+                min_angle=settings.min_angle,
+                seed=self._seed,
+                min_matches=settings.min_matches,
+                threads=settings.threads,
+            ),
             cancellation_token=token,
         )
         check_cancelled()
@@ -180,21 +188,3 @@ def _no_points(settings: SensorSfmSettings) -> StageError:
         found="none in three pictures",
         todo="Raise first_error, match more pairs, or use colmap-3dgs",
     )
-
-
-def _options(
-    settings: SensorSfmSettings, degrees: float, pixels: float, seed: int
-) -> pycolmap.IncrementalPipelineOptions:
-    options = pycolmap.IncrementalPipelineOptions(
-        min_num_matches=settings.min_matches, num_threads=settings.threads or -1, random_seed=seed
-    )
-    options.mapper.random_seed = seed
-    options.mapper.filter_max_reproj_error = pixels
-    options.mapper.filter_min_tri_angle = settings.min_angle
-    triangulation = options.triangulation
-    triangulation.random_seed = seed
-    triangulation.min_angle = settings.min_angle
-    triangulation.create_max_angle_error = triangulation.continue_max_angle_error = max(degrees, 0.5)
-    triangulation.re_max_angle_error = max(degrees, 0.5)
-    triangulation.merge_max_reproj_error = triangulation.complete_max_reproj_error = pixels
-    return options

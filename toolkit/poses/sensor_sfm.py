@@ -16,13 +16,13 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from toolkit.errors import DataError, StageError
+from toolkit.errors import StageError
 from toolkit.files import disk_errors
 from toolkit.geometry.alignment import align_poses
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import copy_database, keypoint_counts
+from toolkit.matching.database import copy_database, require_same_frames
 from toolkit.poses.adjust import AdjustmentReport
 from toolkit.poses.resection import Resection
 from toolkit.poses.sensor_biases import SensorBiases, estimate_biases
@@ -141,13 +141,7 @@ def sensor_sfm(
     StageError
         Where sensors or matches do not suffice; the message says what is missing.
     """
-    names = tuple(frame.name for frame in scene.frames)
-    if tuple(keypoint_counts(database_path)) != names:
-        raise DataError(
-            f"{database_path} does not belong to this scene",
-            expected=f"its {len(names)} frames in their order",
-            todo="Extract and match the features of this scene first",
-        )
+    require_same_frames(database_path, scene)
     check_matches(database_path, settings.min_matches)
     start = time.perf_counter()
     # What is odd in the readings is told once, by the first look.

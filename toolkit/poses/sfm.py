@@ -13,10 +13,10 @@ from typing import Any
 
 import pycolmap
 
-from toolkit.errors import Cancelled, DataError, StageError
+from toolkit.errors import Cancelled, StageError
 from toolkit.files import disk_errors
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import copy_database, keypoint_counts
+from toolkit.matching.database import copy_database, require_same_frames
 from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
 from toolkit.poses.sfm_failure import check_matches, no_initial_pair
 from toolkit.progress import Progress, ProgressEvent, silent
@@ -179,13 +179,7 @@ def incremental_sfm(
     """
     if settings.use_positions:
         _check_positions(scene)
-    names = tuple(frame.name for frame in scene.frames)
-    if tuple(keypoint_counts(database_path)) != names:
-        raise DataError(
-            f"{database_path} does not belong to this scene",
-            expected=f"its {len(names)} frames in their order",
-            todo="Extract and match the features of this scene first",
-        )
+    require_same_frames(database_path, scene)
     check_matches(database_path, settings.min_matches)
     start = time.perf_counter()
     with disk_errors(work_dir, "writing"):

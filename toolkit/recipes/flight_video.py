@@ -13,8 +13,9 @@ from toolkit.capture.frames import VideoFrames
 from toolkit.capture.video import video_info
 from toolkit.errors import CapabilityError, DataError
 from toolkit.geometry.cameras import ColmapCamera
-from toolkit.poses.slam.result import SlamSegment
-from toolkit.poses.slam.segments import scene_with_segment
+from toolkit.poses.slam.place import Placed, Placing, place_segments
+from toolkit.poses.slam.result import SlamResult
+from toolkit.progress import Progress, silent
 from toolkit.recipes.base import RecipeInput
 from toolkit.scene import Scene
 from toolkit.scene.timed_poses import associate
@@ -67,22 +68,34 @@ def film_of(data: RecipeInput) -> Film:
     return Film(data.video, info.frames, camera)
 
 
-def scene_by_video(scene: Scene, segment: SlamSegment, video: VideoFrames) -> Scene:
-    """Return the scene with the segment's poses of those frames of the video that are its pictures.
+def scene_by_video(
+    scene: Scene,
+    result: SlamResult,
+    how: Placing,
+    video: VideoFrames,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Placed:
+    """Return the scene with the poses of those frames of the video that are its pictures.
 
-    Pictures that were not tracked have no pose. The poses are in the segment's own world and scale.
+    Pictures that were not tracked have no pose. The poses are in a segment's own world and scale or, with
+    ``"merge"``, in the scene's: :func:`~toolkit.poses.slam.place.place_segments`.
 
     Raises
     ------
     DataError
         Where a picture has no time, none of the video's frames is at its time, or not one picture was tracked.
+    StageError
+        Where nothing was tracked, or no segment can be merged.
     """
     stamped = _at_video_times(scene, video.times)
-    posed = scene_with_segment(stamped, segment, by="time", keyframes_only=False)
+    placed = place_segments(stamped, result, how, by="time", keyframes_only=False, seed=seed, progress=progress)
     frames = tuple(
-        dataclasses.replace(frame, time=old.time) for frame, old in zip(posed.frames, scene.frames, strict=True)
+        dataclasses.replace(frame, time=old.time)
+        for frame, old in zip(placed.scene.frames, scene.frames, strict=True)
     )
-    return posed.replace(frames=frames)
+    return dataclasses.replace(placed, scene=placed.scene.replace(frames=frames))
 
 
 def _at_video_times(scene: Scene, times: NDArray[np.float64]) -> Scene:

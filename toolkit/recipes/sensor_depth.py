@@ -3,7 +3,7 @@
 Poses are taken from GPS and gimbal as they are. No photo is matched with another: points come from the depth of
 single photos, and training refines the poses. NoposeGS scales its scene to the unit cube first, because its
 learning rates are for such scenes. Here rates are in scene extents, and sensor poses tell the extent in metres: so
-nothing is scaled, and the result stays in metres, east-north-up (:mod:`toolkit.splat.unit_cube` is for others).
+nothing is scaled, and the result stays in metres, east-north-up.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +23,9 @@ from toolkit.metrics.lpips import Lpips
 from toolkit.optional import require
 from toolkit.poses.slam.orb_pnp import OrbPnp, OrbPnpSettings
 from toolkit.poses.slam.orbslam3 import OrbSlam3, OrbSlam3Settings
+from toolkit.poses.slam.place import Placing
 from toolkit.poses.slam.points import SlamPointSettings, slam_points
 from toolkit.poses.slam.result import SlamBackend
-from toolkit.poses.slam.segments import choose_segment
 from toolkit.poses.slam.vocabulary import VocabularySettings, train_vocabulary
 from toolkit.poses.slam.vocabulary_file import check_vocabulary
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
@@ -38,8 +38,9 @@ from toolkit.settings import Choice, Group, Integer, Settings, Text
 from toolkit.splat.pose_presets import pose_preset_settings
 from toolkit.workspace import file_fingerprint
 
-TRAJECTORY = "slam_trajectory.tum"
-"""Among the artifacts: the poses of all frames of the video in the segment that was taken, by their times in it."""
+TRAJECTORIES = "slam_trajectories"
+"""Among the artifacts: a file for each segment that was taken, with the poses of all its frames by their times in
+the video, in the segment's own world."""
 
 _VOCABULARY = "words.txt"
 _WORK = "slam"
@@ -50,9 +51,10 @@ class SlamNoposegsSettings(Settings):
 
     segment = Choice(
         "largest",
-        choices=("largest", "last"),
-        doc="Where tracking was lost there are several segments, each in a world of its own, and one is taken: the "
-        "one with most frames, or the last one, as in A-3DGS (section 5.4).",
+        choices=("largest", "last", "merge"),
+        doc="Where tracking was lost there are several segments, each in a world of its own. largest: the one with "
+        "most frames is taken; last: the last one, as in A-3DGS (section 5.4); merge: all that GPS can place, "
+        "joined in metres (its section 7).",
     )
     pictures = Group(PictureSettings(), doc="How the video's frames are written for SLAM")
     points = Group(SlamPointSettings(), doc="Points under the poses")
@@ -151,7 +153,7 @@ def _slam_stages(
 
     ``own`` are the backend's settings, ``inputs`` what else its result depends on.
     """
-    how = cast(Literal["largest", "last"], settings.segment)
+    how: Placing = settings.segment
     work = context.artifacts / _WORK
 
     def poses_into(folder: Path) -> dict[str, Any]:
@@ -169,15 +171,16 @@ def _slam_stages(
             )
         if not any(work.iterdir()):
             work.rmdir()
-        segment = choose_segment(result, how)
-        scene = scene_by_video(data.scene, segment, frames)
-        write_scene(scene, folder / SCENE)
-        write_tum(segment.frames, folder / TRAJECTORY)
+        placed = scene_by_video(data.scene, result, how, frames, seed=context.seed, progress=context.progress)
+        write_scene(placed.scene, folder / SCENE)
+        for number in placed.segments:
+            write_tum(result.segments[number].frames, folder / TRAJECTORIES / f"{number}.tum")
         return {
             **result.to_dict(),
-            "chosen": next(i for i, each in enumerate(result.segments) if each is segment),
-            "images": len(scene),
-            "images_tracked": len(scene.registered),
+            "chosen": list(placed.segments),
+            "merged": placed.merged,
+            "images": len(placed.scene),
+            "images_tracked": len(placed.scene.registered),
             "decoding_seconds": decoding,
         }
 
@@ -197,13 +200,13 @@ def _slam_stages(
         build=poses_into,
     )
     with disk_errors(context.artifacts, "writing"):
-        shutil.copyfile(tracked.folder / TRAJECTORY, context.artifacts / TRAJECTORY)
+        shutil.copytree(tracked.folder / TRAJECTORIES, context.artifacts / TRAJECTORIES, dirs_exist_ok=True)
     pointed = _points_stage(tracked, settings.points, context)
     report = tracked.report
     metrics: dict[str, float | None] = {
         **sfm_metrics(read_scene(pointed.folder / SCENE), pointed.report),
         "slam.segments": float(len(report["segments"])),
-        "slam.keyframes": float(report["segments"][report["chosen"]]["keyframes"]),
+        "slam.keyframes": float(sum(report["segments"][number]["keyframes"] for number in report["chosen"])),
         "slam.tracked": float(report["images_tracked"]),
         "slam.frame_ms": report["frame_ms_median"],
     }
@@ -237,7 +240,7 @@ def _points_stage(tracked: CachedStage, settings: SlamPointSettings, context: Re
 _NEEDS = (
     "Needs a video (video.mp4 beside scene.json) of which the pictures are frames, and known intrinsics: they are "
     "not refined. Training starts with short settings; the paper's own are the preset orbslam-noposegs. Poses have "
-    "neither scale nor place."
+    "neither scale nor place, unless segments are merged by GPS (segment=merge)."
 )
 
 ORBSLAM = Recipe(

@@ -158,8 +158,9 @@ class RenderOutput:
 
 
 def absolute_carrier(means2d: Tensor, settings: RasterSettings) -> Tensor | None:
-    """Return zeros like ``means2d`` for a backend to give the absolute gradients to, None without them."""
-    return torch.zeros_like(means2d, requires_grad=True) if settings.absolute_gradients else None
+    """Return zeros like ``means2d`` for a backend to give the absolute gradients to, None where there are none."""
+    wanted = settings.absolute_gradients and torch.is_grad_enabled()
+    return torch.zeros_like(means2d, requires_grad=True) if wanted else None
 
 
 Backend = Callable[[Gaussians, Views, RasterSettings, Tensor], RenderOutput]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -204,15 +204,6 @@ def train_splats(
             if frame.cam_from_world is not None and frame.name in poses
         },
     )
-
-
-def refined_scene(scene: Scene, result: TrainResult) -> Scene:
-    """Return the scene that was trained on, with the refined poses of its training frames.
-
-    Test frames stay where they are; :func:`toolkit.splat.align_test.aligned_test_scene` moves them along.
-    """
-    frames = (replace(f, cam_from_world=result.poses.get(f.name, f.cam_from_world)) for f in scene.frames)
-    return scene.replace(frames=tuple(frames))
 
 
 def _check_device(settings: TrainSettings, device: str) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from toolkit.poses.slam.merge import MergeSettings, merge_segments
 from toolkit.poses.slam.merged import merged_scene
@@ -12,6 +13,25 @@ from toolkit.progress import Progress, silent
 from toolkit.scene import Scene
 
 Placing = Literal["largest", "last", "merge"]
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A scene with poses of what was tracked.
+
+    Attributes
+    ----------
+    scene:
+        See :func:`place_segments`.
+    segments:
+        Numbers of the segments whose poses it has.
+    merged:
+        What became of each segment, where they were merged: ready for JSON.
+    """
+
+    scene: Scene
+    segments: tuple[int, ...]
+    merged: dict[str, Any] = field(default_factory=dict)
 
 
 def place_segments(
@@ -24,8 +44,8 @@ def place_segments(
     keyframes_only: bool = True,
     seed: int = 0,
     progress: Progress = silent,
-) -> Scene:
-    """Return the scene with poses of what was tracked.
+) -> Placed:
+    """Give the frames of a scene the poses of what was tracked.
 
     Parameters
     ----------
@@ -61,5 +81,8 @@ def place_segments(
             seed=seed,
             progress=progress,
         )
-        return merged_scene(scene, merged)
-    return scene_with_segment(scene, choose_segment(result, how), by=by, keyframes_only=keyframes_only)
+        taken = tuple(segment.number for segment in merged.segments if not segment.reason)
+        return Placed(merged_scene(scene, merged), taken, merged.to_dict())
+    chosen = choose_segment(result, how)
+    number = next(i for i, segment in enumerate(result.segments) if segment is chosen)
+    return Placed(scene_with_segment(scene, chosen, by=by, keyframes_only=keyframes_only), (number,))

@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from toolkit.errors import DataError, StageError
+from toolkit.errors import StageError
 from toolkit.files import disk_errors
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import copy_database, keypoint_counts
-from toolkit.matching.features import SiftSettings, extract_sift
-from toolkit.matching.match import MatchSettings, match_pairs
-from toolkit.matching.pairs import PairSettings, choose_pairs
+from toolkit.matching.database import require_same_frames
+from toolkit.matching.features import SiftSettings
+from toolkit.matching.match import MatchSettings
+from toolkit.matching.pairs import PairSettings
+from toolkit.matching.scene_matches import match_scene
+from toolkit.poses.triangulation import triangulation_options
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene, scene_from_pycolmap
 from toolkit.settings import Group, Number, Settings
@@ -68,15 +70,12 @@ def slam_points(
         For fewer than two frames with a pose, or where no point could be triangulated.
     """
     posed = scene.replace(frames=scene.registered, points=None)
-    pairs = choose_pairs(posed, settings.pairs)
     with disk_errors(work_dir, "writing"):
         work_dir.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=work_dir, prefix=".points.", suffix=".tmp") as temporary:
-        features, matches = Path(temporary) / "features.db", Path(temporary) / "matches.db"
-        extract_sift(posed, features, settings.sift, seed=seed, progress=progress)
-        copy_database(features, matches)
-        match_pairs(matches, posed, pairs, settings.match, seed=seed, progress=progress)
-        made = triangulated(posed, matches, settings.triangulation, seed=seed, progress=progress)
+        database = Path(temporary) / "matches.db"
+        match_scene(posed, database, settings.sift, settings.pairs, settings.match, seed=seed, progress=progress)
+        made = triangulated(posed, database, settings.triangulation, seed=seed, progress=progress)
     points = made.points
     if points is None or points.tracks is None:
         raise AssertionError("a triangulated scene has points and tracks")
@@ -122,15 +121,16 @@ def triangulated(
     StageError
         Where no point is left.
     """
-    names = tuple(frame.name for frame in scene.frames)
-    if tuple(keypoint_counts(database_path)) != names:
-        raise DataError(
-            f"{database_path} does not belong to this scene",
-            expected=f"its {len(names)} frames in their order",
-            todo="Extract and match the features of this scene first",
-        )
+    require_same_frames(database_path, scene)
     model = scene.replace(points=None).to_pycolmap()
-    options = _options(scene, settings, seed)
+    cameras = {scene.camera_of(frame) for frame in scene.registered}
+    focal = min(camera.intrinsics[0, 0] for camera in cameras if isinstance(camera, ColmapCamera))
+    options = triangulation_options(
+        degrees=math.degrees(math.atan(settings.max_error / focal)),
+        pixels=settings.max_error,
+        min_angle=settings.min_angle,
+        seed=seed,
+    )
 
     def call(token: pycolmap.CancellationToken) -> pycolmap.Reconstruction:
         return pycolmap.triangulate_points(
@@ -152,20 +152,3 @@ def triangulated(
             todo="Raise max_error, lower min_angle, or match frames that lie farther apart (overlap)",
         )
     return scene_from_pycolmap(made, scene.image_dir, like=scene)
-
-
-def _options(scene: Scene, settings: TriangulationSettings, seed: int) -> pycolmap.IncrementalPipelineOptions:
-    cameras = {scene.camera_of(frame) for frame in scene.registered}
-    focal = min(camera.intrinsics[0, 0] for camera in cameras if isinstance(camera, ColmapCamera))
-    degrees = math.degrees(math.atan(settings.max_error / focal))
-    options = pycolmap.IncrementalPipelineOptions(random_seed=seed)
-    options.mapper.random_seed = seed
-    options.mapper.filter_max_reproj_error = settings.max_error
-    options.mapper.filter_min_tri_angle = settings.min_angle
-    triangulation = options.triangulation
-    triangulation.random_seed = seed
-    triangulation.min_angle = settings.min_angle
-    triangulation.create_max_angle_error = triangulation.continue_max_angle_error = max(degrees, 0.5)
-    triangulation.re_max_angle_error = max(degrees, 0.5)
-    triangulation.merge_max_reproj_error = triangulation.complete_max_reproj_error = settings.max_error
-    return options
