@@ -47,6 +47,10 @@ class MissingDependencyError(ToolkitError):
     """An optional package or a model file is missing; the message names what installs it."""
 
 
+class WeightsMissingError(MissingDependencyError):
+    """The weights of a network are not on this machine; the message says what was looked for and what mends it."""
+
+
 class RunError(ToolkitError):
     """A run folder is in use, damaged or not what the command needs."""
 

@@ -13,8 +13,7 @@ import pytest
 import torch
 
 from toolkit.depth.moge_depth import MogeDepth
-from toolkit.depth.monocular import WeightsMissingError
-from toolkit.errors import DataError, MissingDependencyError
+from toolkit.errors import DataError, MissingDependencyError, WeightsMissingError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.scene import Scene
 

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolkit.depth.monocular import WeightsMissingError
 from toolkit.depth.transformers_depth import TransformersDepth
-from toolkit.errors import CapabilityError, DataError, MissingDependencyError
+from toolkit.errors import CapabilityError, DataError, MissingDependencyError, WeightsMissingError
 from toolkit.scene import Scene
 
 transformers = pytest.importorskip(

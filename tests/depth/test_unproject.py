@@ -14,11 +14,11 @@ from PIL import Image
 
 from toolkit.depth.array_depth import ArrayDepth
 from toolkit.depth.ground_depth import GroundDepth
-from toolkit.depth.monocular import DepthPrediction, WeightsMissingError
+from toolkit.depth.monocular import DepthPrediction
 from toolkit.depth.providers import depth_provider
 from toolkit.depth.settings import DepthSettings, GroundSettings
 from toolkit.depth.unproject import thin_points, unproject_depth, usable_pixels
-from toolkit.errors import Cancelled, DataError, SettingsError, StageError
+from toolkit.errors import Cancelled, DataError, SettingsError, StageError, WeightsMissingError
 from toolkit.progress import CancelToken, ProgressEvent
 from toolkit.samples import read_depth
 from toolkit.scene import Frame, Scene

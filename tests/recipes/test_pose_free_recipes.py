@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from toolkit.depth.monocular import DepthPrediction, WeightsMissingError
+from toolkit.depth.monocular import DepthPrediction
 from toolkit.depth.settings import DepthSettings
-from toolkit.errors import StageError
+from toolkit.errors import StageError, WeightsMissingError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import silent
 from toolkit.recipes.base import RecipeContext, RecipeInput
@@ -79,7 +79,9 @@ def test_cf_3dgs_runs_to_its_measures(flight: tuple[Path, Scene], tmp_path: Path
     assert result.reports["depth"]["provider"] == "arrays"
     assert result.reports["depth"]["substitute"] is True
     assert result.gaussians is not None
-    assert len(result.scene.registered) == 5  # the test frame stands beyond the first one for training
+    # The test frame was drawn from a pose beside the first one for training, which nobody found.
+    assert len(result.scene.registered) == 4
+    assert result.metrics["test.views"] == 1
     assert (tmp_path / "artifacts" / result.test_views[0].render).is_file()
     json.dumps(result.to_dict(), allow_nan=False)
 
@@ -95,6 +97,7 @@ def test_noposegs_chains_and_then_refines(flight: tuple[Path, Scene], tmp_path: 
     assert result.metrics["poses.sim3.ate"] != result.metrics["start.sim3.ate"]  # they were refined
     assert result.reports["chain"]["depth"]["provider"] == "arrays"
     assert len(result.reports["train"]["poses"]) == 4
+    assert len(result.scene.registered) == 4  # without the test frame, whose pose nobody found
     assert result.metrics["test_refined.views"] == 1
     json.dumps(result.to_dict(), allow_nan=False)
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolkit.depth.monocular import DepthPrediction, WeightsMissingError
-from toolkit.errors import SettingsError, StageError
+from toolkit.depth.monocular import DepthPrediction
+from toolkit.errors import SettingsError, StageError, WeightsMissingError
 from toolkit.progress import silent
 from toolkit.recipes import sensor_depth
 from toolkit.recipes.base import RecipeContext, RecipeInput

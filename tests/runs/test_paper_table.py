@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from fake_recipe import RECIPE, FakeSettings, MakeRun, write_photos
 from PIL import Image
 
-from toolkit.errors import Cancelled, MissingDependencyError
+from toolkit.errors import Cancelled, MissingDependencyError, WeightsMissingError
 from toolkit.progress import ProgressEvent
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult, StageTime
 from toolkit.recipes.registry import all_recipes
@@ -159,6 +160,30 @@ def test_the_best_of_at_least_two_is_bold() -> None:
     assert "**00:01:00**" in lines["| y"]
 
 
+def test_a_method_that_got_lost_is_not_the_best_in_poses() -> None:
+    def row(key: str, registered: int, pos: float) -> TableRow:
+        entry = Entry({"pos": pos, "psnr": pos}, registered, 30)
+        return TableRow(PaperRow(key, key, key), {"a": entry}, entry, 1)
+
+    def best(registered: int) -> int:
+        table = PaperTable((row("x", registered, 0.001), row("y", 30, 0.5)), ("a",), ())
+        return table_markdown(table).count("**0.001**")
+
+    assert best(30) > 0
+    assert best(3) == 0
+
+
+def test_lpips_without_any_test_view_is_told_as_missing(finished: MakeRun) -> None:
+    attempts = attempts_of(finished, {"a": 0.5, "b": 1.5}, {})
+    run = attempts[0].run
+    assert run is not None
+    path = run.artifacts / "result.json"
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    stored["metrics"] = {name: v for name, v in stored["metrics"].items() if not name.startswith("test.lpips")}
+    path.write_text(json.dumps(stored), encoding="utf-8")
+    assert "LPIPS: weights missing (test.lpips_vgg)." in table_markdown(paper_table(attempts))
+
+
 def test_the_best_is_not_marked_where_test_views_or_data_sets_differ(finished: MakeRun) -> None:
     other = PaperRow("other", "Other", "fake")
 
@@ -230,11 +255,15 @@ def test_cancelling_ends_the_table_and_the_run_goes_on_next_time(photos: Path, o
     ("error", "outcome", "reason"),
     [
         (
-            MissingDependencyError("No weights of DPT here\nsecond line"),
+            WeightsMissingError("No weights of DPT here\nsecond line"),
             "weights missing",
             "No weights of DPT here",
         ),
-        (MissingDependencyError("Package x is missing"), "failed", "Package x is missing."),
+        (
+            MissingDependencyError("Package x with weights is missing"),
+            "failed",
+            "Package x with weights is missing.",
+        ),
         (RuntimeError("out of memory"), "failed", "RuntimeError: out of memory"),
     ],
 )

@@ -17,11 +17,10 @@ import numpy as np
 from toolkit.depth.monocular import (
     DepthKind,
     DepthPrediction,
-    WeightsMissingError,
     checked_device,
     load_checked_picture,
 )
-from toolkit.errors import DataError, MissingDependencyError
+from toolkit.errors import DataError, MissingDependencyError, WeightsMissingError
 from toolkit.geometry.cameras import Camera, ColmapCamera
 from toolkit.optional import require
 from toolkit.scene import Frame, Scene

@@ -8,16 +8,12 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import CapabilityError, DataError, MissingDependencyError
+from toolkit.errors import CapabilityError, DataError
 from toolkit.geometry.cameras import Camera
 from toolkit.scene import Frame, Scene
 from toolkit.scene.pictures import load_picture
 
 DepthKind = Literal["metric", "affine-depth", "affine-disparity"]
-
-
-class WeightsMissingError(MissingDependencyError):
-    """The weights of a network are not on this machine; the message says what was looked for and what mends it."""
 
 
 @dataclass(frozen=True, slots=True)

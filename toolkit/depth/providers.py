@@ -22,7 +22,7 @@ def depth_provider(settings: DepthSettings) -> MonocularDepth:
     SettingsError
         Where ``kind`` is given for a provider whose values have one meaning only.
     MissingDependencyError
-        Where a package is missing; :class:`~toolkit.depth.monocular.WeightsMissingError` where weights are.
+        Where a package is missing; :class:`~toolkit.errors.WeightsMissingError` where weights are.
     DataError
         For weights or folders that are not what they should be.
     """

@@ -15,11 +15,10 @@ import numpy as np
 from toolkit.depth.monocular import (
     DepthKind,
     DepthPrediction,
-    WeightsMissingError,
     checked_device,
     load_checked_picture,
 )
-from toolkit.errors import CapabilityError, DataError
+from toolkit.errors import CapabilityError, DataError, WeightsMissingError
 from toolkit.optional import require
 from toolkit.scene import Frame, Scene
 

@@ -14,7 +14,7 @@ from toolkit.scene import Points
 #: Most points drawn of one cloud.
 MOST_POINTS = 8000
 _WIDTH = 900  # pixels of a notebook's page, to which the height of the panels is fitted
-_FRAME = 40.0  # metres above and below the middle half of all heights that are drawn
+_FRAME = 40.0  # most metres of height that are drawn
 
 
 def elevation_map(clouds: Mapping[str, Points | None]) -> go.Figure:

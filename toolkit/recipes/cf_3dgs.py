@@ -13,24 +13,17 @@ from toolkit.recipes.measure import measure_poses, measure_test_renders
 from toolkit.recipes.measure_refined import measure_refined_test_renders
 from toolkit.recipes.steps import SCENE
 from toolkit.scene.folder import read_scene
-from toolkit.settings import Choice, Group, Settings
+from toolkit.settings import Group
 from toolkit.splat.cf3dgs import Cf3dgsResult, Cf3dgsSettings, cf_3dgs
-from toolkit.splat.chain import ChainSettings
 from toolkit.splat.evaluate import render_test_views
 from toolkit.splat.interpolated_poses import with_interpolated_test_poses
 from toolkit.splat.warm_up import warm_up
 
 
-class Cf3dgsRecipeSettings(Settings):
+class Cf3dgsRecipeSettings(Cf3dgsSettings):
     """Settings of every stage of CF-3DGS."""
 
     depth = Group(DepthSettings(), doc="Depth of each frame, for its local Gaussians")
-    chain = Group(ChainSettings(), doc="Local Gaussians and motions between frames")
-    grow = Choice(
-        "densify",
-        choices=("densify", "fill"),
-        doc="densify: as Fu et al.; fill: new frames' own Gaussians are taken in where nothing is yet.",
-    )
     train = Group(
         Cf3dgsSettings().train.replace({"refine_test_steps": 200}),
         doc="The global Gaussians; steps of the whole sequence, lengths in median depths of the first frame",
@@ -48,7 +41,7 @@ def run(data: RecipeInput, settings: Cf3dgsRecipeSettings, context: RecipeContex
     found = cf_3dgs(
         capture,
         depth.of(capture),
-        Cf3dgsSettings(chain=settings.chain, train=settings.train, grow=settings.grow),
+        settings,
         seed=context.seed,
         device=context.device,
         progress=context.progress,
@@ -69,7 +62,7 @@ def run(data: RecipeInput, settings: Cf3dgsRecipeSettings, context: RecipeContex
         found.gaussians, scene, settings.train, lpips, context
     )
     return RecipeResult(
-        scene=scene,
+        scene=posed,  # without the test poses, which are between those that were found
         gaussians=found.gaussians,
         times=(*times, StageTime("measure", time.perf_counter() - start)),
         metrics={**image_metrics, **refined_metrics, **pose_metrics, **_metrics(found)},
@@ -104,7 +97,8 @@ RECIPE = Recipe(
         "set of Gaussians grows along (Fu et al. 2024). Needs a video or a sequence with small steps, known "
         "intrinsics, and depth of single pictures: weights of a network, or a substitute that the report names "
         "(depth.provider). Where a frame is lost, later ones have no pose. The scale is that of the first frame's "
-        "depth. A run that was stopped begins again."
+        "depth. Beyond the paper: depth maps of adjacent frames are brought to one scale (chain.match_scale). A "
+        "run that was stopped begins again."
     ),
     settings_type=Cf3dgsRecipeSettings,
     run=run,

@@ -84,7 +84,7 @@ def frame_depth(scene: Scene, settings: DepthSettings) -> FrameDepth:
     Raises
     ------
     MissingDependencyError
-        Where a package is missing; :class:`~toolkit.depth.monocular.WeightsMissingError` where weights are.
+        Where a package is missing; :class:`~toolkit.errors.WeightsMissingError` where weights are.
     SettingsError, DataError
         As :func:`toolkit.depth.providers.depth_provider`.
     """

@@ -51,8 +51,8 @@ def judged_poses(scene: Scene, flat_scene: Scene, trained: TrainResult, referenc
         metrics, report = measure_poses(scene, reference)
         return JudgedPoses(scene, flat_scene, metrics, {"poses": report})
     aligned, flat = (aligned_test_scene(each, trained.poses) for each in (scene, flat_scene))
-    before, before_report = measure_poses(_training_only(scene), reference, name="start")
-    after, after_report = measure_poses(_training_only(aligned.scene), reference)
+    before, before_report = measure_poses(training_only(scene), reference, name="start")
+    after, after_report = measure_poses(training_only(aligned.scene), reference)
     reports = {"poses": after_report, "start": before_report, "aligned": flat.to_dict()}
     return JudgedPoses(aligned.scene, flat.scene, {**after, **before}, reports)
 
@@ -85,7 +85,7 @@ def measure_refined_test_renders(
     return metrics, {REFINED_TESTS: report}
 
 
-def _training_only(scene: Scene) -> Scene:
+def training_only(scene: Scene) -> Scene:
     """Return the scene with poses of training frames only."""
     frames = (frame if frame.split == "train" else replace(frame, cam_from_world=None) for frame in scene.frames)
     return scene.replace(frames=tuple(frames))

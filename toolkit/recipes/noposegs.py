@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResul
 from toolkit.recipes.cached import CachedStage, cached_stage
 from toolkit.recipes.flat_capture import flat_capture
 from toolkit.recipes.frame_depth import FrameDepth, frame_depth
+from toolkit.recipes.measure_refined import training_only
 from toolkit.recipes.steps import SCENE, PosedStages, train_and_measure
 from toolkit.scene import Frame, Scene
 from toolkit.scene.folder import read_scene, write_scene
@@ -31,8 +33,8 @@ from toolkit.splat.warm_up import warm_up
 class NoposegsSettings(Settings):
     """Settings of every stage of NoposeGS without given poses.
 
-    The rates and costs of training are those that A-3DGS gives for NoposeGS (its Table 2), where they do not depend
-    on how long it trains.
+    Rates of cameras and costs of training are those of A-3DGS's Table 2, which is for NoposeGS on poses of SLAM;
+    for NoposeGS by itself it gives none. The rate of centres, which depends on how long it trains, is our own.
     """
 
     start = Choice(
@@ -64,12 +66,15 @@ def run(data: RecipeInput, settings: NoposegsSettings, context: RecipeContext) -
     depth = frame_depth(data.scene, settings.depth) if settings.start == "depth" else None
     lpips = Lpips()
     flat = flat_capture(data, context)
+    warm_up(settings.train)  # so that no kernel is compiled in the time of the chain
     chained = _chain_stage(read_scene(flat.folder / SCENE), flat, depth, settings, context)
     metrics: dict[str, float | None] = {
         "chain.frames": float(chained.report["train_frames"]),
         "chain.registered": float(chained.report["registered"]),
     }
-    return train_and_measure(data, PosedStages((flat, chained), metrics), settings.train, context, lpips)
+    result = train_and_measure(data, PosedStages((flat, chained), metrics), settings.train, context, lpips)
+    # Test poses are between those that were found: no frame's own.
+    return replace(result, scene=training_only(result.scene))
 
 
 def _chain_stage(
@@ -81,7 +86,6 @@ def _chain_stage(
         source, depth_of = depth.to_dict(), depth.of(capture)
 
     def chain_into(folder: Path) -> dict[str, Any]:
-        compiling = warm_up(settings.train)
         found = chain_poses(
             capture,
             depth_of,
@@ -100,7 +104,7 @@ def _chain_stage(
             )
         write_scene(with_interpolated_test_poses(found.scene), folder / SCENE)
         train_frames = sum(frame.split == "train" for frame in capture.frames)
-        return {**found.to_dict(), "train_frames": train_frames, "depth": source, "compile_seconds": compiling}
+        return {**found.to_dict(), "train_frames": train_frames, "depth": source}
 
     return cached_stage(
         context,
@@ -141,7 +145,8 @@ RECIPE = Recipe(
         "splatting that learns the poses, too, with costs on opacity and anisotropy and an early cap (Schmidt et "
         "al. 2024, mode 2). Needs a video or a sequence with small steps, known intrinsics, and depth of single "
         "pictures: weights of a network, or a substitute that the report names (start=plane, depth.provider). "
-        "Where a frame is lost, later ones have no pose."
+        "Where a frame is lost, later ones have no pose. Beyond the paper: depth maps of adjacent frames are "
+        "brought to one scale (chain.match_scale)."
     ),
     settings_type=NoposegsSettings,
     run=run,

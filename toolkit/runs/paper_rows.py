@@ -206,6 +206,8 @@ NOTES = (
     "each row. Rows with different n are not means of the same scenes.",
     "The paper runs all methods on the keyframes that ORB-SLAM3 chose; ours take the pictures of the data sets (of "
     "the filmed flights every sixth or eighth frame), and every eighth picture is a test picture, as in the paper.",
+    "CF-3DGS and NoposeGS bring the depth maps of adjacent frames to one scale (chain.match_scale), of which their "
+    "papers say nothing.",
     "POS, ROT and ATE are after Sim(3) alignment to the reference; unaligned ones are given where the method "
     "claims the metric frame of the data. RPE is the root mean square from neighbour to neighbour after it.",
     "Poses is the time up to poses and first points, scene that of undistortion and training; measuring, the "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from toolkit.errors import Cancelled, DataError, MissingDependencyError, ToolkitError
+from toolkit.errors import Cancelled, DataError, ToolkitError, WeightsMissingError
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.recipes.base import Recipe, RecipeResult
 from toolkit.runs.folder import RunFolder
@@ -142,9 +142,8 @@ def _attempt(
             work(run, progress, recipe=recipe)
     except Cancelled:
         raise
-    except MissingDependencyError as error:
-        weights = "weights" in str(error).lower()
-        return Attempt(row, name, "weights missing" if weights else "failed", first_line(error), run)
+    except WeightsMissingError as error:
+        return Attempt(row, name, "weights missing", first_line(error), run)
     except _FAILURES as error:
         return Attempt(row, name, "failed", first_line(error), run)
     return Attempt(row, name, "finished", run=run)

@@ -217,7 +217,7 @@ def _own_notes(attempts: Sequence[Attempt], results: Sequence[StoredResult]) -> 
     if unknown:
         notes.append(f"These stages count in the total only: {', '.join(unknown)}.")
     lpips = sorted({name for result in results for name in result.metrics if name.startswith("test.lpips")})
-    if lpips and not any(result.metrics[name] is not None for result in results for name in lpips):
+    if lpips and not any(result.metrics.get(name) is not None for result in results for name in lpips):
         notes.append(f"LPIPS: weights missing ({', '.join(lpips)}).")
     elif len(lpips) > 1:
         notes.append(f"LPIPS comes from several networks and cannot be compared: {', '.join(lpips)}.")

@@ -192,11 +192,13 @@ def clock(seconds: float | None) -> str:
 def _best(entries: Mapping[str, Entry]) -> dict[str, frozenset[str]]:
     """Return by method the keys in which it is the best of at least two, as they are shown.
 
-    None is the best in measures of pictures where test views differ, nor in anything where data sets do.
+    None is the best in measures of pictures where test views differ, in measures of poses where not equally many
+    frames have one (a method that got lost is judged by the few frames before), nor in anything where data sets do.
     """
     done = {name: entry for name, entry in entries.items() if not entry.outcome}
     same_data = len({entry.of for entry in done.values()}) == 1
     same_views = len({entry.tested for entry in done.values()}) == 1
+    same_frames = len({entry.registered for entry in done.values()}) == 1
     found: dict[str, set[str]] = {name: set() for name in entries}
     directions = {measure.key: measure.better for measure in (*MEASURES, *MORE_MEASURES)}
     digits = {measure.key: measure.digits for measure in (*MEASURES, *MORE_MEASURES)}
@@ -206,7 +208,8 @@ def _best(entries: Mapping[str, Entry]) -> dict[str, frozenset[str]]:
             for name, entry in done.items()
             if (value := entry.values.get(key)) is not None
         }
-        if len(known) < 2 or not same_data or (is_picture_measure(key) and not same_views):
+        alike = same_views if is_picture_measure(key) else same_frames or key in TIMES
+        if len(known) < 2 or not same_data or not alike:
             continue
         top = max(known.values()) if directions.get(key) == "higher" else min(known.values())
         for name, value in known.items():

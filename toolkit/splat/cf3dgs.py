@@ -12,6 +12,7 @@ The result says where. Frames share ``train.steps`` evenly, as Fu et al. give ev
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -29,12 +30,13 @@ from toolkit.splat.chained_trajectory import lost_at, seconds_by_part, with_pose
 from toolkit.splat.density import DensityChange
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.growing_map import GrowingMap
+from toolkit.splat.memory import free_memory, most_gaussians
 from toolkit.splat.relative_pose import median_depth
-from toolkit.splat.train_settings import TrainSettings
+from toolkit.splat.train_settings import Schedule, TrainSettings
+from toolkit.splat.train_state import at_most
 
 STAGE: Final = "splat.cf3dgs"
 _STATM = Path("/proc/self/statm")
-_PAGE: Final = 4096
 
 
 class Cf3dgsSettings(Settings):
@@ -53,7 +55,7 @@ class Cf3dgsSettings(Settings):
         "al.); fill: the new frame's own Gaussians are taken in, too, where nothing is yet.",
     )
     final_share = Number(
-        0.3, bounds=(0.0, 1.0), unit="of steps", doc="On all frames, after the last one came; 0: none (Fu et al.)."
+        0.0, bounds=(0.0, 1.0), unit="of steps", doc="On all frames, after the last one came; 0: none (Fu et al.)."
     )
 
 
@@ -150,7 +152,9 @@ def cf_3dgs(
     """
     settings = settings.frozen()
     _require_possible(settings.train)
-    train, generator = settings.train, torch.Generator().manual_seed(seed)
+    free = None if device.startswith("cuda") else free_memory()
+    train = settings.train.replace({"max_gaussians": most_gaussians(settings.train, 0, free)}).frozen()
+    generator = torch.Generator().manual_seed(seed)
     names = [frame.name for frame in scene.frames if frame.split == "train"]
     poses: dict[str, RigidTransform | None] = dict.fromkeys(names)
     reports: list[FrameReport] = []
@@ -219,7 +223,8 @@ def _begin(tracked: TrackedFrame, train: TrainSettings, generator: torch.Generat
     """Return the global set as the first frame's Gaussians; its camera is the world."""
     assert tracked.local is not None  # there is a second frame
     unit = median_depth(tracked.local, RigidTransform.identity())
-    return GrowingMap(tracked.local, train, unit, generator)
+    first = at_most(tracked.local, Schedule.of(train).most_gaussians_at(1), generator)
+    return GrowingMap(first, train, unit, generator)
 
 
 def _finished(report: FrameReport, grown: GrowingMap, seconds: float, device: str) -> FrameReport:
@@ -241,6 +246,6 @@ def used_memory(device: str, statm: Path = _STATM) -> int | None:
     if device.startswith("cuda"):
         return int(torch.cuda.memory_allocated(device))
     try:
-        return _PAGE * int(statm.read_text(encoding="ascii").split()[1])
+        return os.sysconf("SC_PAGE_SIZE") * int(statm.read_text(encoding="ascii").split()[1])
     except OSError:
         return None

@@ -71,11 +71,11 @@ class GrowingMap:
         with torch.no_grad():
             alpha = rasterize(self.gaussians, photo.views, raster_settings(self._settings)).alpha[0]
         pixels = local.means @ photo.views.intrinsics[0].T
-        column, row = (pixels[:, :2] / pixels[:, 2:]).long().unbind(dim=1)
+        column, row = (pixels[:, :2] / pixels[:, 2:]).floor().long().unbind(dim=1)
         height, width = alpha.shape
         inside = (pixels[:, 2] > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         empty = inside & (alpha[row.clamp(0, height - 1), column.clamp(0, width - 1)] < _EMPTY)
-        places = max(0, self._settings.max_gaussians - len(self._optimiser.gaussians))
+        places = max(0, self._schedule.most_gaussians_at(self.step) - len(self._optimiser.gaussians))
         rows = torch.nonzero(empty)[:places, 0]
         fresh = in_world(local.map(lambda tensor: tensor[rows]), cam_from_world)
         self._optimiser = _extended(self._optimiser, fresh)

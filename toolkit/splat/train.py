@@ -162,7 +162,11 @@ def train_splats(
     made_with = {
         "settings": settings.to_dict(),
         "seed": seed,
-        "scene": scene_fingerprint(scene, photos if test_photo is None else (*photos, test_photo)),
+        "scene": scene_fingerprint(
+            scene,
+            photos if test_photo is None else (*photos, test_photo),
+            with_priors=settings.refine_poses and settings.pose_prior == "sensor",
+        ),
     }
     checkpoint, damaged = (None, ()) if checkpoint_dir is None else load_newest(checkpoint_dir)
     if checkpoint is not None and checkpoint_dir is not None:

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from toolkit.scene import Scene
+from toolkit.scene import PosePrior, Scene
 from toolkit.splat.checkpoint import Checkpoint
 from toolkit.splat.density import DensityChange, DensityControl
 from toolkit.splat.exposure import Exposure
@@ -102,7 +102,7 @@ class TrainState:
         """Return the state before the first step. ``settings.max_gaussians`` must fit into the memory."""
         generator = torch.Generator().manual_seed(seed)
         gaussians = gaussians_from_points(scene.points, opacity=settings.initial_opacity)
-        gaussians = _at_most(gaussians, Schedule.of(settings).most_gaussians_at(1), generator).to(device=device)
+        gaussians = at_most(gaussians, Schedule.of(settings).most_gaussians_at(1), generator).to(device=device)
         if settings.kind == "2d":
             gaussians = flattened(gaussians, extent)
         return cls(
@@ -198,7 +198,7 @@ def flattened(gaussians: Gaussians, extent: float) -> Gaussians:
     return replace(gaussians, log_scales=log_scales)
 
 
-def _at_most(gaussians: Gaussians, count: int, generator: torch.Generator) -> Gaussians:
+def at_most(gaussians: Gaussians, count: int, generator: torch.Generator) -> Gaussians:
     """Return all Gaussians, or ``count`` of them by chance, larger so that they fill the same space."""
     if len(gaussians) <= count:
         return gaussians
@@ -209,8 +209,11 @@ def _at_most(gaussians: Gaussians, count: int, generator: torch.Generator) -> Ga
     return replace(fewer, log_scales=fewer.log_scales + wider)
 
 
-def scene_fingerprint(scene: Scene, photos: Iterable[Photo]) -> dict[str, str]:
-    """Return hashes of what a training reads of a scene, part by part so that a difference can be named."""
+def scene_fingerprint(scene: Scene, photos: Iterable[Photo], *, with_priors: bool) -> dict[str, str]:
+    """Return hashes of what a training reads of a scene, part by part so that a difference can be named.
+
+    Sensors' readings are among them where poses are pulled to these.
+    """
     poses, pictures, points = hashlib.sha256(), hashlib.sha256(), hashlib.sha256()
     for photo in photos:
         camera = photo.camera
@@ -223,4 +226,10 @@ def scene_fingerprint(scene: Scene, photos: Iterable[Photo]) -> dict[str, str]:
         points.update(scene.points.xyz.tobytes())
         points.update(scene.points.rgb.tobytes())
     parts = {"cameras and poses": poses, "pictures and masks": pictures, "points": points}
+    if with_priors:
+        parts["readings of the sensors"] = readings = hashlib.sha256()
+        for frame in scene.of_split("train"):
+            prior = frame.prior or PosePrior()
+            values = (prior.position, prior.position_sigma, prior.rotation, prior.rotation_sigma)
+            readings.update(repr([None if value is None else value.tolist() for value in values]).encode())
     return {name: digest.hexdigest()[:16] for name, digest in parts.items()}
