@@ -130,6 +130,30 @@ def test_a_log_that_begins_by_itself_is_told(town_flight: tuple[Path, Scene], tm
     assert flight.scene.georeference.altitude == pytest.approx(7.0 + 5.5 / 2)
 
 
+def test_a_start_of_the_video_that_nothing_needs_is_refused(
+    town_flight: tuple[Path, Scene], tmp_path: Path
+) -> None:
+    folder, _ = town_flight
+    (tmp_path / "a.csv").write_text("time(s),latitude,longitude,altitude(m)\n0,48,9,1\n1,48,9,2\n")
+    timed = EACH.replace({"telemetry.attitude_source": "none", "video_start": "2026-06-01T10:00:02Z"})
+    for telemetry, clock in ((folder / "video.srt", "video"), (tmp_path / "a.csv", "log")):
+        with pytest.raises(SettingsError, match=rf"'video_start' has no effect .*from the start of the {clock}\. "):
+            open_flight(folder / "video.mp4", telemetry, tmp_path / "made", timed)
+
+
+def test_what_the_telemetry_lacks_is_told_before_the_video_is_decoded(
+    town_flight: tuple[Path, Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def decode(*_: object, **__: object) -> None:
+        pytest.fail("the video was decoded first")
+
+    monkeypatch.setattr("toolkit.capture.flight.choose_keyframes", decode)
+    folder, _ = town_flight
+    wrong = EACH.replace({"telemetry.attitude_source": "flight"})
+    with pytest.raises(SettingsError, match="no flight attitude"):
+        open_flight(folder / "video.mp4", folder / "video.srt", tmp_path / "made", wrong)
+
+
 def test_what_fails_leaves_no_folder(town_flight: tuple[Path, Scene], tmp_path: Path) -> None:
     folder, _ = town_flight
     wrong = EACH.replace({"telemetry.attitude_source": "flight"})

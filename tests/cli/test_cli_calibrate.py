@@ -6,10 +6,12 @@ import dataclasses
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fake_recipe import RECIPE, FakeSettings, write_photos
 
 from toolkit.cli import main
+from toolkit.geometry.rigid import RigidTransform
 from toolkit.poses.calibrate import camera_name
 from toolkit.poses.camera_profile import CameraProfile, read_profile, write_profile
 from toolkit.poses.profiled_capture import capture_with_profile
@@ -18,6 +20,7 @@ from toolkit.recipes import registry
 from toolkit.runs.index import list_runs
 from toolkit.samples.make import SampleSettings, make_sample
 from toolkit.scene.dataset import VIDEO_FILE, open_capture
+from toolkit.scene.folder import read_scene, write_scene
 from toolkit.settings import Group
 
 SMALL = SampleSettings().replace(
@@ -142,6 +145,36 @@ def test_true_poses_and_the_video_of_a_scene_folder_stay(town: Path, tmp_path: P
     (colmap / "scene.json").unlink()
     (told,) = capture_with_profile(colmap, tmp_path / "a.json", tmp_path / "captures").warnings
     assert told == f"the true poses of {colmap} are in a world of their own and were left out"
+
+
+def test_a_folder_of_other_data_does_not_serve(town: Path, tmp_path: Path) -> None:
+    write_profile(profile(), tmp_path / "a.json")
+    own, moved = tmp_path / "one" / "town", tmp_path / "two" / "town"
+    shutil.copytree(town, own)
+
+    def made(folder: Path) -> Path:
+        return capture_with_profile(folder, tmp_path / "a.json", tmp_path / "captures").folder
+
+    found = [made(own)]
+    assert made(own) == found[0]
+    for content in (b"a video", b"another one"):
+        (own / VIDEO_FILE).write_bytes(content)
+        found.append(made(own))
+        assert (found[-1] / VIDEO_FILE).read_bytes() == content
+    scene = read_scene(own)
+    first = scene.frames[0]
+    assert first.cam_from_world is not None
+    pose = RigidTransform(first.cam_from_world.rotation, first.cam_from_world.translation + 1.0)
+    write_scene(
+        scene.replace(frames=(dataclasses.replace(first, cam_from_world=pose), *scene.frames[1:]), points=None), own
+    )
+    found.append(made(own))
+    np.testing.assert_allclose(read_scene(found[-1]).centres()[0], pose.centre, atol=1e-9)
+    own.parent.rename(moved.parent)
+    found.append(made(moved))
+    assert read_scene(found[-1]).image_path(first).is_file()
+    assert (found[-1] / VIDEO_FILE).is_file()
+    assert len(set(found)) == len(found)
 
 
 @pytest.mark.usefixtures("refining")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -117,6 +118,43 @@ def test_pictures_correct_attitudes_from_the_flight_line(tmp_path: Path) -> None
     errors = trajectory_errors(found.scene, truth, "sim3")
     assert errors.pos < 0.03
     assert errors.rot < 0.1
+    # What no gimbal told says nothing of a gimbal's errors.
+    for estimate in (found.biases.heading, *found.biases.boresight):
+        assert estimate.value is None
+        assert estimate.reason == "0 photos have an attitude, 6 are needed"
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_guessed_attitudes_do_not_join_those_that_the_gimbal_told(tmp_path: Path) -> None:
+    scene, _, database = flight(tmp_path, nadir_block())
+    guessed = (1, 2, 3, 6, 7, 8, 11, 12, 13)
+    for i in guessed:
+        prior = scene.frames[i].prior
+        assert prior is not None
+        scene = with_prior(scene, i, dataclasses.replace(prior, rotation=None, rotation_sigma=None))
+    settings = SensorSfmSettings(attitude="auto", assumed_pitch=-84.0)
+    found = sensor_sfm(scene, database, settings, work_dir=tmp_path / "work")
+    assert found.sensors.from_flight_line == tuple(f"{i:03d}.jpg" for i in guessed)
+    pitch = found.biases.boresight[0].value
+    assert pitch is not None
+    # Six readings with a degree are good to 0.4 degrees; three times that. The nine guesses are six degrees off.
+    assert abs(pitch) < 1.2
+
+
+def test_a_photo_in_a_turn_is_not_told_to_lack_a_gimbal(tmp_path: Path) -> None:
+    scene, _, database = flight(tmp_path, nadir_block())
+    prior = scene.frames[7].prior
+    assert prior is not None
+    assert prior.position is not None
+    away = prior.position + np.array([150.0, 0.0, 0.0])
+    scene = with_prior(scene, 7, dataclasses.replace(prior, position=away))
+    settings = SensorSfmSettings(attitude="flight-line", place_others=False)
+    found = sensor_sfm(scene, database, settings, work_dir=tmp_path / "work")
+    assert "007.jpg" in found.sensors.in_turn
+    assert set(found.sensors.in_turn) <= set(found.sensors.no_attitude)
+    assert found.not_placed["007.jpg"] == "taken in a turn, where the flight does not tell the attitude"
+    assert not any("gimbal attitude" in text for text in found.warnings)
+    assert any("taken in a turn" in text for text in found.warnings)
 
 
 @pytest.mark.real

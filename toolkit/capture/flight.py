@@ -7,7 +7,6 @@ import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 
 from toolkit.capture.frames import PictureSettings, VideoFrames, require_empty, video_frames
 from toolkit.capture.keyframes import KeyframeChoice, KeyframeSettings, choose_keyframes
-from toolkit.capture.priors import TelemetrySettings, telemetry_priors
+from toolkit.capture.priors import TelemetrySettings, check_telemetry, telemetry_priors
 from toolkit.capture.telemetry import Telemetry
 from toolkit.capture.telemetry_files import read_telemetry
+from toolkit.capture.telemetry_text import moment
 from toolkit.capture.video import VideoInfo, video_info
 from toolkit.errors import DataError, SettingsError
 from toolkit.files import atomic_folder, disk_errors, write_json
@@ -103,8 +103,8 @@ def open_flight(
     MissingDependencyError
         Where PyAV is missing, or OpenCV for the paper's keyframe rule.
     SettingsError
-        Where settings contradict each other or ask for what the telemetry has not, or telemetry counts from 1970
-        and nobody says when the video began.
+        Where settings contradict each other or ask for what the telemetry has not, telemetry counts from 1970 and
+        nobody says when the video began, or ``video_start`` is set and telemetry does not count from 1970.
     DataError
         Where a file is missing, damaged or cut off, or the camera has another size than the video.
     StageError
@@ -117,7 +117,10 @@ def open_flight(
     info = video_info(video)
     _check_camera(camera, info, video)
     telemetry = None if telemetry_path is None else read_telemetry(telemetry_path)
-    start = 0.0 if telemetry is None else _start(telemetry, info, settings)
+    start = 0.0
+    if telemetry is not None:
+        check_telemetry(telemetry, settings.telemetry)
+        start = _start(telemetry, info, settings)
     chosen = choose_keyframes(video, settings.keyframes, given=numbers, progress=progress)
     with atomic_folder(folder) as temporary:
         temporary.mkdir(parents=True)
@@ -185,15 +188,21 @@ def _start(telemetry: Telemetry, info: VideoInfo, settings: FlightSettings) -> f
     """Return the time of the video's first frame by the clock of the telemetry."""
     if settings.video_start:
         try:
-            begin = datetime.fromisoformat(settings.video_start)
-            moment = (begin if begin.tzinfo else begin.replace(tzinfo=UTC)).timestamp()
-        except (ValueError, OverflowError) as error:
+            begin = moment(settings.video_start, "video_start", "settings")
+        except DataError as error:
             raise SettingsError(
                 "Setting 'video_start' is no date and time",
                 expected="like 2026-06-01T10:00:00Z",
                 found=repr(settings.video_start[:40]),
             ) from error
-        return moment if telemetry.absolute else 0.0
+        if not telemetry.absolute:
+            raise SettingsError(
+                "Setting 'video_start' has no effect here",
+                expected="telemetry that counts time from 1970",
+                found=f"{telemetry.source}, which counts from the start of the {telemetry.clock}",
+                todo="Leave video_start empty; time_offset shifts the telemetry's times",
+            )
+        return begin
     if not telemetry.absolute:
         return 0.0
     if info.start is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from toolkit.capture.video import VideoInfo, decoded_frames, video_info
-from toolkit.errors import DataError, RunError, SettingsError
+from toolkit.capture.video import decoded_frames, video_info
+from toolkit.errors import DataError, RunError
 from toolkit.files import atomic_folder
 from toolkit.progress import Progress, ProgressEvent, silent
-from toolkit.settings import Choice, Integer, Number, Settings
-
-# Of a second: time stamps are rounded to the clock of the file.
-_CLOCK = 1e-3
+from toolkit.settings import Choice, Integer, Settings
 
 
 class PictureSettings(Settings):
@@ -31,18 +28,6 @@ class PictureSettings(Settings):
         "jpeg", choices=("jpeg", "png"), doc="Of the pictures: JPEG, or PNG, which loses nothing."
     )
     jpeg_quality = Integer(95, bounds=(1, 100), doc="Of JPEG pictures.")
-
-
-class FrameSettings(PictureSettings):
-    """Which frames are written, and how."""
-
-    every = Integer(1, bounds=(1, 1_000_000), unit="frames", doc="Write every n-th frame.")
-    frames_per_second = Number(
-        0.0,
-        bounds=(0.0, 1000.0),
-        unit="1/s",
-        doc="Write so many frames of each second, by their times; 0: by every.",
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +44,12 @@ class VideoFrames:
         (N,) places in the video, from 0.
     times:
         (N,) seconds since the video's first frame.
-    info:
-        Of the video.
     """
 
     folder: Path
     names: tuple[str, ...]
     numbers: NDArray[np.int64]
     times: NDArray[np.float64]
-    info: VideoInfo
 
 
 def video_frames(
@@ -87,9 +69,9 @@ def video_frames(
     folder:
         New or empty; it appears whole or not at all.
     settings:
-        The kind of picture; and which frames, where they are :class:`FrameSettings` (else all).
+        The kind of picture.
     numbers:
-        Write these frames instead (0 is the first), in increasing order.
+        Write these frames (0 is the first), in increasing order; by default all.
     progress:
         Told after each decoded frame.
 
@@ -97,15 +79,13 @@ def video_frames(
     ------
     MissingDependencyError
         Where PyAV is missing.
-    SettingsError
-        Where both ``every`` and ``frames_per_second`` are set.
     DataError
         Where the video is missing, damaged or cut off, or has not so many frames.
     RunError
         Where the folder is not empty, the disk is full or may not be written.
     """
     require_empty(folder)
-    wanted = _rule(settings) if numbers is None else _listed(numbers)
+    wanted = None if numbers is None else set(check_numbers(numbers).tolist())
     last = None if numbers is None else int(numbers[-1])
     info = video_info(video)
     ending, options = ".png", {}
@@ -117,7 +97,7 @@ def video_frames(
         temporary.mkdir(parents=True)
         progress(ProgressEvent("frames", 0, total))
         for frame in decoded_frames(video):
-            if wanted(frame.number, frame.time):
+            if wanted is None or frame.number in wanted:
                 name = f"frame_{frame.number:06d}{ending}"
                 Image.fromarray(frame.rgb()).save(temporary / name, **options)
                 names.append(name)
@@ -130,7 +110,7 @@ def video_frames(
             raise DataError(
                 f"Video {video} has no frame {last}", expected="numbers from 0", found=f"{frame.number + 1} frames"
             )
-    return VideoFrames(folder, tuple(names), np.array(places, dtype=np.int64), np.array(times), info)
+    return VideoFrames(folder, tuple(names), np.array(places, dtype=np.int64), np.array(times))
 
 
 def require_empty(folder: Path) -> None:
@@ -156,33 +136,3 @@ def check_numbers(numbers: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int6
             "These are no frame numbers", expected="increasing whole numbers from 0", found=str(numbers)[:80]
         )
     return given.astype(np.int64)
-
-
-def _listed(numbers: Sequence[int] | NDArray[np.int64]) -> Callable[[int, float], bool]:
-    chosen = set(check_numbers(numbers).tolist())
-    return lambda number, time: number in chosen
-
-
-def _rule(settings: PictureSettings) -> Callable[[int, float], bool]:
-    if not isinstance(settings, FrameSettings):
-        return lambda number, time: True
-    if settings.frames_per_second == 0:
-        return lambda number, time: number % settings.every == 0
-    if settings.every != 1:
-        raise SettingsError(
-            "Frames can be chosen by number or by time, not by both",
-            expected="every 1, or frames_per_second 0",
-            found=f"every {settings.every} and frames_per_second {settings.frames_per_second:g}",
-        )
-    due = 0.0
-
-    def by_time(number: int, time: float) -> bool:
-        """Take the first frame at or after each beat."""
-        nonlocal due
-        if time < due - _CLOCK:
-            return False
-        beat = np.floor((time + _CLOCK) * settings.frames_per_second)
-        due = float(beat + 1) / settings.frames_per_second
-        return True
-
-    return by_time

@@ -119,7 +119,7 @@ def telemetry_priors(
     StageError
         Where no frame has a position.
     """
-    _check_asked(telemetry, settings)
+    check_telemetry(telemetry, settings)
     wanted = np.asarray(times, dtype=np.float64) + settings.time_offset
     found = telemetry.at(wanted, settings.max_gap)
     above = settings.takeoff_altitude + found.height if settings.altitude_source == "takeoff" else found.altitude
@@ -145,7 +145,8 @@ def telemetry_priors(
     return priors, where, (*telemetry.warnings, *found.warnings, *_doubts(telemetry, settings, priors))
 
 
-def _check_asked(telemetry: Telemetry, settings: TelemetrySettings) -> None:
+def check_telemetry(telemetry: Telemetry, settings: TelemetrySettings) -> None:
+    """Raise :class:`SettingsError` where the log lacks an attitude or a height that the settings ask for."""
     named = telemetry.source or "the telemetry"
     has = [kind for kind in ("gimbal", "flight") if np.isfinite(getattr(telemetry, kind)).any()]
     if settings.attitude_source not in ("none", *has):

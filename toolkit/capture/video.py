@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.capture.telemetry_text import moment
 from toolkit.errors import DataError
 from toolkit.optional import require
 
@@ -37,7 +37,7 @@ class VideoInfo:
     rotation:
         Degrees anticlockwise, 0, 90, 180 or 270, by which stored frames are turned to be shown.
     start:
-        When recording began by the file, in seconds since 1970, or None.
+        When recording began by the file (UTC where it tells no zone), in seconds since 1970, or None.
     """
 
     frames: int
@@ -97,7 +97,7 @@ def video_info(path: Path) -> VideoInfo:
         fps = float(stream.average_rate or stream.guessed_rate or 0)
         frames = stream.frames or sum(1 for packet in container.demux(stream) if packet.size)
         duration = float(stream.duration * stream.time_base) if stream.duration else (frames / fps if fps else 0.0)
-        start = _moment(container.metadata.get("creation_time", ""))
+        start = _start(container.metadata.get("creation_time", ""), path)
     if rotation % 180:
         width, height = height, width
     return VideoInfo(frames, fps, width, height, duration, rotation, start)
@@ -192,8 +192,8 @@ def _evenly(number: int, rate: Fraction | None, path: Path) -> float:
     return float(number / rate)
 
 
-def _moment(text: str) -> float | None:
+def _start(text: str, path: Path) -> float | None:
     try:
-        return datetime.fromisoformat(text).timestamp()
-    except (ValueError, OverflowError):
+        return moment(text, "creation_time", str(path))
+    except DataError:
         return None

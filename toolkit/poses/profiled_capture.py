@@ -13,7 +13,7 @@ from toolkit.progress import Progress, silent
 from toolkit.scene import Scene
 from toolkit.scene.dataset import VIDEO_FILE, Capture, capture_fingerprint, open_capture
 from toolkit.scene.folder import SCENE_FILE, write_scene
-from toolkit.workspace import fingerprint
+from toolkit.workspace import file_fingerprint, fingerprint
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ def capture_with_profile(
     profile_path:
         A profile, or a folder of profiles, of which the one of the photos' camera (EXIF) is taken.
     captures_dir:
-        Where the new folder comes, under a name made of pictures, priors and profile; one that is there serves.
+        Where the new folder comes, under a name made of all that it has and refers to; one that is there serves.
     progress:
         Told after each picture.
 
@@ -64,7 +64,7 @@ def capture_with_profile(
     warnings = capture.warnings
     if capture.reference is not None and not scene.registered:
         warnings += (f"the true poses of {folder} are in a world of their own and were left out",)
-    key = fingerprint({"scene": capture_fingerprint(scene, progress=progress), "poses": len(scene.registered)})
+    key = _key(scene, capture.video, progress)
     target = captures_dir / f"{folder.resolve().name}-{key[:12]}"
     if not (target / SCENE_FILE).is_file():
         if capture.video is not None:
@@ -74,6 +74,24 @@ def capture_with_profile(
                 (target / VIDEO_FILE).symlink_to(capture.video.resolve())
         write_scene(scene, target)
     return ProfiledCapture(target, profile, warnings)
+
+
+def _key(scene: Scene, video: Path | None, progress: Progress) -> str:
+    """Return a hash of what the new folder has, and of where that lies to which it only refers."""
+    poses = {
+        frame.name: [frame.cam_from_world.rotation.tolist(), frame.cam_from_world.translation.tolist()]
+        for frame in scene.registered
+        if frame.cam_from_world is not None
+    }
+    return fingerprint(
+        {
+            "scene": capture_fingerprint(scene, progress=progress),
+            "poses": poses,
+            "images": str(scene.image_dir.resolve()),
+            "masks": None if scene.mask_dir is None else str(scene.mask_dir.resolve()),
+            "video": None if video is None else [str(video.resolve()), file_fingerprint(video)],
+        }
+    )
 
 
 def _profile(scene: Scene, path: Path) -> CameraProfile:

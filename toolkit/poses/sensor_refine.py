@@ -18,7 +18,7 @@ from toolkit.poses.sensor_biases import correct, estimate_biases
 from toolkit.poses.sensors import SensorPoseSettings
 from toolkit.poses.triangulation import triangulation_options
 from toolkit.progress import ProgressEvent
-from toolkit.scene import Scene, scene_from_pycolmap
+from toolkit.scene import Frame, Scene, scene_from_pycolmap
 from toolkit.settings import Boolean, Integer, Number
 
 
@@ -53,7 +53,8 @@ class SensorSfmSettings(SensorPoseSettings):
     estimate_biases = Boolean(
         True,
         doc="Find constant errors of the sensors (heading, boresight, time offset, lever arm) after the first "
-        "round, and correct the readings where they are significant; no: they are only reported.",
+        "round, and take time offset and lever arm out of the positions that hold the rounds that follow, where "
+        "they are significant; attitudes are only a start and stay as they are. No: all are only reported.",
     )
     min_matches = Integer(15, bounds=(6, 1000), unit="matches", doc="Pairs with fewer inliers are not used.")
     refine_focal = Boolean(True, doc="Find the focal length; no: keep that of the scene's cameras.")
@@ -74,7 +75,7 @@ class Refinement:
     others:
         The frames without readings, and what points said of them.
     scene:
-        The scene with readings as they are used: from the second round on without the sensors' biases.
+        The scene with readings as they are used: from the second round on with corrected positions.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ class Refinement:
                 corrected = correct(found, estimate_biases(found, turns=self._turns), turns=self._turns)
                 self.scene = self.scene.replace(
                     frames=tuple(
-                        dataclasses.replace(frame, prior=better.prior)
+                        _with_position_of(frame, better)
                         for frame, better in zip(self.scene.frames, corrected.frames, strict=True)
                     )
                 )
@@ -179,6 +180,13 @@ class Refinement:
         )
         self.reports.append(report)
         return model
+
+
+def _with_position_of(frame: Frame, better: Frame) -> Frame:
+    """Return a frame with the corrected position. Its attitude stays: later rounds do not read it."""
+    if frame.prior is None or better.prior is None:
+        return frame
+    return dataclasses.replace(frame, prior=dataclasses.replace(frame.prior, position=better.prior.position))
 
 
 def _no_points(settings: SensorSfmSettings) -> StageError:

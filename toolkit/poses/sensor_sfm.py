@@ -31,7 +31,7 @@ from toolkit.poses.sensor_refine import Refinement, SensorSfmSettings
 from toolkit.poses.sensors import SensorPoses, sensor_poses, some
 from toolkit.poses.sfm_failure import check_matches
 from toolkit.progress import Progress, silent
-from toolkit.scene import Scene, scene_from_pycolmap
+from toolkit.scene import Frame, Scene, scene_from_pycolmap
 
 Array = NDArray[np.float64]
 
@@ -159,6 +159,7 @@ def sensor_sfm(
         checked = time.perf_counter()
         contradicted = pixels.contradicted if settings.distrust else {}
         trusted = _without_readings(_with_start_cameras(sensors.scene, copy), contradicted)
+        trusted = _without_guesses(trusted, sensors.from_flight_line)
         turns = pixels.turns if settings.correct_turns else {}
         job = Refinement(trusted, copy, settings, seed, turns)
         model = run_colmap(job.run, job.event, progress, copy)
@@ -166,6 +167,7 @@ def sensor_sfm(
     turned_about_line = _settle_line(model, job.scene)
     unusable = {
         **dict.fromkeys(sensors.no_attitude, "no gimbal attitude"),
+        **dict.fromkeys(sensors.in_turn, "taken in a turn, where the flight does not tell the attitude"),
         **dict.fromkeys(sensors.no_position, "no GPS position"),
         **{name: f"the pictures contradict its {reading}" for name, reading in contradicted.items()},
     }
@@ -179,7 +181,8 @@ def sensor_sfm(
             todo="Look at the warnings of the readings, raise first_error, or use colmap-3dgs",
         )
     position, rotation = _residuals(found)
-    biases = estimate_biases(_without_readings(found, contradicted, keep_pose=True), turns=turns)
+    read = _without_guesses(_without_readings(found, contradicted, keep_pose=True), sensors.from_flight_line)
+    biases = estimate_biases(read, turns=turns)
     return SensorSfmResult(
         scene=found,
         sensors=sensors,
@@ -222,6 +225,19 @@ def _without_readings(scene: Scene, names: Iterable[str], *, keep_pose: bool = F
     return scene.replace(frames=tuple(frames))
 
 
+def _without_guesses(scene: Scene, names: Iterable[str]) -> Scene:
+    """Return the scene without the attitudes that no sensor told in its priors: they show no sensor's errors."""
+    guessed = set(names)
+    return scene.replace(
+        frames=tuple(
+            dataclasses.replace(frame, prior=dataclasses.replace(frame.prior, rotation=None, rotation_sigma=None))
+            if frame.name in guessed and frame.prior is not None
+            else frame
+            for frame in scene.frames
+        )
+    )
+
+
 def _poses(model: pycolmap.Reconstruction) -> dict[int, RigidTransform]:
     poses = {}
     for image_id in sorted(model.reg_image_ids()):
@@ -233,7 +249,7 @@ def _settle_line(model: pycolmap.Reconstruction, trusted: Scene) -> tuple[str, .
     """Turn a reconstruction whose cameras lie on a line about it, by the gimbal: positions leave that open."""
     pairs = []
     for image_id, pose in _poses(model).items():
-        by_sensors = trusted.frames[image_id - 1].cam_from_world
+        by_sensors = _by_sensors(trusted.frames[image_id - 1])
         if by_sensors is not None:
             pairs.append((pose, by_sensors))
     if len(pairs) < 2:
@@ -253,6 +269,14 @@ def _settle_line(model: pycolmap.Reconstruction, trusted: Scene) -> tuple[str, .
         f"the positions lie on a line (to {across:.1f} m): the turn about it was taken from the gimbal, and focal "
         "length and height are hardly told apart",
     )
+
+
+def _by_sensors(frame: Frame) -> RigidTransform | None:
+    """Return the pose by the readings, at the corrected position."""
+    start, prior = frame.cam_from_world, frame.prior
+    if start is None or prior is None or prior.position is None:
+        return start
+    return RigidTransform(start.rotation, -start.rotation @ prior.position)
 
 
 def _drop_unsupported(

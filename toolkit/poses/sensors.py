@@ -75,6 +75,8 @@ class SensorPoses:
         What looks odd in the readings, a sentence each.
     from_flight_line:
         Names of frames whose attitude was taken from the direction of flight.
+    in_turn:
+        Names of those in ``no_attitude`` for which it was to be taken from there, and the flight does not tell it.
     """
 
     scene: Scene
@@ -82,6 +84,7 @@ class SensorPoses:
     no_attitude: tuple[str, ...]
     warnings: tuple[str, ...]
     from_flight_line: tuple[str, ...] = ()
+    in_turn: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the counts and warnings, ready for JSON."""
@@ -92,6 +95,7 @@ class SensorPoses:
             "no_attitude": list(self.no_attitude),
             "warnings": list(self.warnings),
             "from_flight_line": list(self.from_flight_line),
+            "in_turn": list(self.in_turn),
         }
 
 
@@ -145,10 +149,11 @@ def sensor_poses(
             "drone that flew nose ahead",
         )
     made = scene.replace(frames=frames, points=None)
-    odd = _odd_readings(made, no_position, no_attitude)
+    in_turn = () if line is None else line.turning
+    odd = _odd_readings(made, no_position, [name for name in no_attitude if name not in in_turn])
     if line is None:
         return SensorPoses(made, no_position, no_attitude, odd)
-    return SensorPoses(made, no_position, no_attitude, (*odd, *line.warnings), line.along)
+    return SensorPoses(made, no_position, no_attitude, (*odd, *line.warnings), line.along, in_turn)
 
 
 def turned(rotation: Array, degrees: float) -> Array:
