@@ -10,19 +10,23 @@ from fake_recipe import RECIPE, write_photos
 
 from toolkit.cli import main
 from toolkit.errors import Cancelled
+from toolkit.files import write_json
 from toolkit.progress import ProgressEvent
 from toolkit.recipes import registry
 from toolkit.runs import paper_runs
 from toolkit.runs.index import list_runs
 from toolkit.samples import drone_flights
+from toolkit.samples.data_set import MARKER
+from toolkit.samples.registry import find_data_set
 
 NAME = "noposegs"
 
 
 @pytest.fixture(autouse=True)
-def one_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
+def one_recipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "all_recipes", lambda: {NAME: dataclasses.replace(RECIPE, name=NAME)})
     monkeypatch.delenv("TOOLKIT_DATA", raising=False)
+    monkeypatch.setenv("TOOLKIT_CACHE", str(tmp_path / "cache"))
 
 
 @pytest.fixture
@@ -64,12 +68,25 @@ def test_without_data_the_two_flights_and_photographs_are_taken(
     monkeypatch.setattr(drone_flights, "FLIGHTS", flights)
     monkeypatch.setenv("TOOLKIT_DATA", str(tmp_path))
     write_photos(tmp_path / "uav_sheffield_cross")
+    # Fetched earlier, and not in the folder of data.
+    fetched = write_photos(tmp_path / "cache" / "uav_brighton_beach")
+    write_json(fetched / MARKER, {"content": find_data_set("uav_brighton_beach").content()})
     assert main(["table", "a-3dgs", "--rows", NAME, *places]) == 0
     said = capsys.readouterr().out
-    assert r"## Means over 3 data sets: orbit, spiral, uav\_sheffield\_cross" in said
-    assert "| NoposeGS | 3 of 3 |" in said
-    assert len(list_runs(tmp_path / "runs")) == 3  # the flights' folder is none of them
+    assert r"## Means over 4 data sets: orbit, spiral, uav\_brighton\_beach, uav\_sheffield\_cross" in said
+    assert "| NoposeGS | 4 of 4 |" in said
+    # The flights' folder is none of them, and the same photographs need one run.
+    assert len(list_runs(tmp_path / "runs")) == 3
     assert drone_flights.open_drone_flight(tmp_path / "runs" / ".data" / "orbit-0").numbers.size == 6
+
+
+def test_a_folder_of_data_that_is_not_there_is_told_before_anything_is_made(
+    tmp_path: Path, places: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TOOLKIT_DATA", str(tmp_path / "nowhere"))
+    assert main(["table", "a-3dgs", "--rows", NAME, *places]) == 2
+    assert "TOOLKIT_DATA names no folder" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_an_unknown_row_and_two_folders_of_one_name_are_told(

@@ -32,11 +32,18 @@ def seen(pose: RigidTransform, points: Array, rng: np.random.Generator, noise: f
 
 
 def start(
-    motion: RigidTransform, *, flat: bool = False, wrong: float = 0.0, count: int = 300, min_parallax: float = 1.0
+    motion: RigidTransform,
+    *,
+    flat: bool = False,
+    wrong: float = 0.0,
+    count: int = 300,
+    min_parallax: float = 1.0,
+    noise: float = 0.5,
+    seed: int = 2,
 ) -> TwoViews | NoMotion:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed)
     points = cloud(rng, count, flat=flat)
-    first, second = seen(RigidTransform.identity(), points, rng), seen(motion, points, rng)
+    first, second = seen(RigidTransform.identity(), points, rng, noise), seen(motion, points, rng, noise)
     strangers = int(wrong * count)
     second[:strangers] = rng.uniform(-0.4, 0.4, (strangers, 2))
     sigma = np.full(count, PIXEL)
@@ -61,6 +68,14 @@ def test_the_first_motion_is_found_among_wrong_matches(flat: bool) -> None:
 def test_a_turn_is_no_start(angle_deg: float) -> None:
     turn = Rotation.from_rotvec([0.0, np.radians(angle_deg), 0.0]).as_matrix()
     found = start(RigidTransform(turn, np.zeros(3)), wrong=0.1)
+    assert isinstance(found, NoMotion)
+    assert "the camera turned or stood still" in found.reason
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_turn_is_no_start_where_both_views_are_as_noisy_as_they_say(seed: int) -> None:
+    turn = Rotation.from_rotvec([0.0, np.radians(2.0), 0.0]).as_matrix()
+    found = start(RigidTransform(turn, np.zeros(3)), noise=1.0, seed=seed)
     assert isinstance(found, NoMotion)
     assert "the camera turned or stood still" in found.reason
 

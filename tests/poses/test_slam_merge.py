@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from toolkit.errors import Cancelled, DataError, StageError
 from toolkit.geometry.alignment import Similarity
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
+from toolkit.poses.slam import merge
 from toolkit.poses.slam.georeferenced import georeference_segment
 from toolkit.poses.slam.merge import MergeSettings, merge_segments
 from toolkit.poses.slam.merged import MergedTrajectory
 from toolkit.poses.slam.place import place_segments
+from toolkit.poses.slam.pose_graph import GraphSolution, solve
 from toolkit.poses.slam.result import SlamResult, SlamSegment
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Frame, Georeference, PosePrior, Scene
@@ -180,6 +183,42 @@ def test_wrong_positions_are_outvoted() -> None:
     assert errors(merged, truth)[0] < 1.5 * np.sqrt(3) / 3
 
 
+def test_a_third_of_the_positions_somewhat_off_is_not_averaged_in() -> None:
+    truth = orbit(100)
+    rng = np.random.default_rng(3)
+    positions = np.array([pose.centre for pose in truth]) + rng.normal(size=(100, 3))
+    positions[::10] += [0.0, 0.0, 9.0]
+    positions[1::10] += [0.0, 0.0, 9.0]
+    positions[2::10] += [0.0, 0.0, 9.0]
+    placed = georeference_segment(
+        truth,
+        positions,
+        np.ones((100, 3)),
+        [None] * 100,
+        max_misfit=10.0,
+        drift=0.01,
+        rng=np.random.default_rng(0),
+    )
+    middle = np.mean([pose.centre for pose in truth], axis=0)
+    # Taken in, they lift the segment by 2.7 m. They are 9 sigmas off where 3.5 an axis are allowed, and 70
+    # positions of 1 m leave 0.12 m of each axis.
+    assert abs(placed.world_from_segment.apply(middle[None])[0, 2] - middle[2]) < 0.5
+
+
+def test_a_segment_whose_positions_are_all_rejected_has_no_residual(monkeypatch: pytest.MonkeyPatch) -> None:
+    def distrusting(*arguments: Any, **named: Any) -> GraphSolution:
+        found = solve(*arguments, **named)
+        return dataclasses.replace(found, position_weight=np.zeros_like(found.position_weight))
+
+    monkeypatch.setattr(merge, "solve", distrusting)
+    truth = orbit()
+    merged = merge_segments(tracked(truth, (0, COUNT)), video(truth, noise=1.0), MergeSettings())
+    (segment,) = merged.segments
+    assert segment.rejected == segment.positions == COUNT
+    assert segment.position_residual is None
+    json.dumps(merged.to_dict(), allow_nan=False)
+
+
 def test_segments_that_gps_cannot_place_are_left_out_with_the_reason() -> None:
     truth = orbit()
     scene = without_priors(video(truth, noise=1.5), range(60, 96))
@@ -225,7 +264,7 @@ def test_frames_are_found_by_time_where_the_scene_has_fewer() -> None:
 def test_a_scene_takes_one_segment_or_all() -> None:
     truth = orbit()
     scene, result = video(truth, attitude=0.0), tracked(truth, *SPANS)
-    placed = [place_segments(scene, result, how) for how in ("largest", "last", "merge")]
+    placed = [place_segments(scene, result, how, settings=MergeSettings()) for how in ("largest", "last", "merge")]
     assert [each.segments for each in placed] == [(0,), (len(SPANS) - 1,), tuple(range(len(SPANS)))]
     assert [bool(each.merged) for each in placed] == [False, False, True]
     largest, last, merged = (each.scene for each in placed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import time
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 
 from toolkit.errors import Cancelled, CapabilityError, DataError, MissingDependencyError, StageError
+from toolkit.files import read_json, write_json
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.metrics.trajectory import trajectory_errors
@@ -169,6 +171,29 @@ def test_without_the_package_the_cure_is_named(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(MissingDependencyError, match=r"'pyorbslam3' cannot be imported.*\[slam\].*GPL"):
         track(tmp_path, pictures(tmp_path))
+
+
+def test_the_child_is_told_whose_it_is_and_ends_where_that_process_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise Cancelled("stop")
+
+    monkeypatch.setattr(orbslam3, "require", lambda name: None)
+    monkeypatch.setattr(orbslam3, "check_vocabulary", lambda path: None)
+    monkeypatch.setattr(orbslam3, "run_child", stop)
+    with pytest.raises(Cancelled):
+        track(tmp_path, pictures(tmp_path))
+    job = read_json(tmp_path / "job.json")
+    assert job["parent"] == os.getpid()
+    # The package takes seconds to load; this process is not the one that started the child.
+    fake_package = "class Sensor:\n    MONOCULAR = 0\ndef Slam(*_, **__):\n    return None\n"
+    (tmp_path / "pyorbslam3.py").write_text(fake_package, encoding="ascii")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    write_json(tmp_path / "job.json", {**job, "parent": os.getppid()})
+    command = [sys.executable, "-m", "toolkit.poses.slam.orbslam3_child", str(tmp_path / "job.json")]
+    with pytest.raises(StageError, match=r"exit code 1 after 0 of 5 frames.*the process that wanted this is gone"):
+        run_child(command, tmp_path, frames=5, time_limit=60.0, progress=silent)
 
 
 # ---------------------------------------------------------------------------------------------- what is read back

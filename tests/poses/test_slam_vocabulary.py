@@ -14,6 +14,7 @@ from PIL import Image
 
 from toolkit.cli import main
 from toolkit.errors import Cancelled, DataError, MissingDependencyError
+from toolkit.poses.slam.hamming import hamming
 from toolkit.poses.slam.vocabulary import VocabularySettings, pictures_below, train_vocabulary
 from toolkit.poses.slam.vocabulary_file import check_vocabulary
 from toolkit.progress import CancelToken, ProgressEvent
@@ -229,3 +230,22 @@ def test_whatever_is_done_to_a_file_it_is_sound_or_refused(full: Path, tmp_path:
         assert len(row) == 35
         assert 0 <= int(row[0]) < number
         assert all(0 <= int(word) <= 255 for word in row[2:34])
+
+
+def test_training_needs_nothing_that_numpy_1_lacks(
+    pictures: list[Path], trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(np, "bitwise_count", raising=False)
+    train_vocabulary(pictures, tmp_path / "again.txt", SMALL)
+    assert (tmp_path / "again.txt").read_bytes() == trained.read_bytes()
+
+
+def test_differing_bits_are_counted_in_bytes_and_in_words() -> None:
+    rng = np.random.default_rng(0)
+    a, b = (rng.integers(0, 256, (7, 32), dtype=np.uint8) for _ in range(2))
+    b[0] = ~a[0]
+    expected = np.unpackbits(a ^ b, axis=1).sum(axis=1)
+    assert expected[0] == 256
+    np.testing.assert_array_equal(hamming(a, b), expected)
+    np.testing.assert_array_equal(hamming(a.view(np.uint64), b.view(np.uint64)), expected)
+    np.testing.assert_array_equal(hamming(a[:, None], b[None])[3], np.unpackbits(a[3] ^ b, axis=1).sum(axis=1))

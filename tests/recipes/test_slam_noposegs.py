@@ -11,10 +11,10 @@ import pytest
 
 from toolkit import optional
 from toolkit.capture.flight import FlightSettings, open_flight
-from toolkit.capture.frames import VideoFrames
-from toolkit.capture.video import VideoInfo
-from toolkit.errors import DataError, MissingDependencyError
+from toolkit.errors import DataError, MissingDependencyError, StageError
 from toolkit.geometry.rigid import RigidTransform
+from toolkit.poses.slam.merge import MergeSettings
+from toolkit.poses.slam.orb_pnp import OrbPnp
 from toolkit.poses.slam.result import SlamResult, SlamSegment
 from toolkit.progress import silent
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput
@@ -35,6 +35,8 @@ pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'sightli
 
 FRAMES, EVERY = 36, 4
 QUICK = {"train.steps": 20, "train.max_side": 64, "train.max_gaussians": 1000}
+
+MERGE = MergeSettings()
 
 Context = Callable[[str], RecipeContext]
 
@@ -104,7 +106,9 @@ def test_a_filmed_flight_is_tracked_and_becomes_a_splat(flight: RecipeInput, con
     assert tracked is not None
     assert pictures - 1 <= tracked <= pictures
     assert result.metrics["sfm.registered"] == tracked
-    assert [time.name for time in result.times] == ["slam", "points", "undistort", "compile", "train", "measure"]
+    assert [time.name for time in result.times] == [
+        *("slam", "place", "points", "undistort", "compile", "train", "measure")
+    ]
     assert result.reports["slam"]["backend"] == "orb-pnp"
     assert result.reports["slam"]["frames"] == FRAMES
     # The path is 31 m; drift of the SLAM of our own is below one percent of it (tests/poses/test_orb_pnp.py).
@@ -119,19 +123,42 @@ def test_a_filmed_flight_is_tracked_and_becomes_a_splat(flight: RecipeInput, con
 
     second = context("second")
     again = ORB_PNP.run(flight, quick(ORB_PNP), second)
-    assert [time.name for time in again.times if time.reused] == ["slam", "points", "undistort"]
+    assert [time.name for time in again.times if time.reused] == ["slam", "place", "points", "undistort"]
     assert (second.artifacts / TRAJECTORIES / "0.tum").is_file()
     assert again.metrics["test.psnr"] == result.metrics["test.psnr"]
 
 
 def test_segments_merged_by_gps_are_in_the_metres_of_the_sensors(flight: RecipeInput, context: Context) -> None:
     result = ORB_PNP.run(flight, quick(ORB_PNP, segment="merge"), context("merged"))
-    assert result.reports["slam"]["merged"]["segments"][0]["reason"] == ""
+    assert result.reports["place"]["merged"]["segments"][0]["reason"] == ""
     assert result.scene.georeference == flight.scene.georeference
     # Unaligned: nine positions with errors of 1.5 m an axis place the path to less than one of them is off.
     off = result.metrics["start.none.pos"]
     assert off is not None
     assert off < 2.4
+    # What GPS is taken for has changed: the video is not tracked again for it, nor for another choice of segments.
+    for number, changes in enumerate(({"segment": "merge", "merge.drift": 2.0}, {"segment": "last"})):
+        again = ORB_PNP.run(flight, quick(ORB_PNP, **changes), context(f"again{number}"))
+        assert [time.name for time in again.times if time.reused] == ["slam"]
+        assert (again.reports["place"]["merged"] == {}) == (changes["segment"] == "last")
+    with pytest.raises(StageError, match=r"at least 5000 positions"):
+        ORB_PNP.run(flight, quick(ORB_PNP, segment="merge", **{"merge.min_positions": 5000}), context("few"))
+
+
+def test_a_video_of_which_nothing_was_tracked_is_tried_again(
+    flight: RecipeInput, context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def nothing(self: OrbPnp, pictures: list[Path], *_: object, **__: object) -> SlamResult:
+        calls.append(len(pictures))
+        return SlamResult("by hand", (), len(pictures), np.zeros(len(pictures)), 0.0, ("too dark",))
+
+    monkeypatch.setattr(OrbPnp, "track", nothing)
+    for name in ("first", "second"):
+        with pytest.raises(StageError, match=rf"by hand tracked none of {FRAMES} frames.*too dark"):
+            ORB_PNP.run(flight, quick(ORB_PNP), context(name))
+    assert calls == [FRAMES, FRAMES]
 
 
 @pytest.mark.slow
@@ -141,7 +168,7 @@ def test_orbslam3_gets_its_words_from_the_flight_and_they_are_timed_apart(
     pytest.importorskip("pyorbslam3", reason="the real ORB-SLAM3 (GPL) is not installed")
     settings = quick(ORBSLAM, **{"slam.pace": 0.3, "words.descriptors": 10_000, "word_frames": 10})
     result = ORBSLAM.run(flight, settings, context("run"))
-    assert [time.name for time in result.times][:3] == ["vocabulary", "slam", "points"]
+    assert [time.name for time in result.times][:4] == ["vocabulary", "slam", "place", "points"]
     assert result.reports["vocabulary"]["pictures"] == 10
     assert result.reports["slam"]["backend"] == "orbslam3"
     tracked = result.metrics["slam.tracked"]
@@ -207,11 +234,6 @@ def tracked(numbers: list[int], times: np.ndarray) -> SlamResult:
     return SlamResult("by hand", (segment,), len(times), np.zeros(len(times)), 0.0)
 
 
-def film(times: np.ndarray) -> VideoFrames:
-    info = VideoInfo(len(times), 10.0, 240, 180, 1.0, 0, None)
-    return VideoFrames(Path(), tuple(map(str, times)), np.arange(len(times)), times, info)
-
-
 def stamped(scene: Scene, times: list[float | None]) -> Scene:
     frames = tuple(dataclasses.replace(frame, time=time) for frame, time in zip(scene.frames, times, strict=False))
     return scene.replace(frames=frames)
@@ -221,7 +243,7 @@ def test_pictures_get_the_poses_of_their_frames_and_untracked_ones_none(flight: 
     times = np.arange(10) / 10.0
     # Clocks are rounded: 20 ms of the 100 from frame to frame.
     scene = stamped(flight.scene, [0.02, 0.38, 0.8])
-    posed = scene_by_video(scene, tracked([3, 4, 5, 8], times), "largest", film(times)).scene
+    posed = scene_by_video(scene, tracked([3, 4, 5, 8], times), "largest", times, settings=MERGE).scene
     assert [frame.time for frame in posed.frames] == [0.02, 0.38, 0.8]
     assert posed.frames[0].cam_from_world is None
     for frame, number in zip(posed.frames[1:], (4, 8), strict=True):
@@ -240,4 +262,6 @@ def test_pictures_that_are_no_frames_of_the_video_are_refused(
 ) -> None:
     of_video = np.arange(10) / 10.0
     with pytest.raises(DataError, match=rf"not frames of the video.*of 3 pictures {found}"):
-        scene_by_video(stamped(flight.scene, times), tracked([3, 4, 8], of_video), "largest", film(of_video))
+        scene_by_video(
+            stamped(flight.scene, times), tracked([3, 4, 8], of_video), "largest", of_video, settings=MERGE
+        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from toolkit.runs.paper_rows import PaperRow
     from toolkit.samples.drone_flights import OrbitVideoSettings
 
-#: Photographs below TOOLKIT_DATA that the table takes where they are there.
+#: Data sets of photographs that the table takes where they are on this machine.
 _PHOTOS = ("uav_brighton_beach", "uav_sheffield_cross")
 #: Folder beside the runs in which the flights are made; its dot keeps it out of lists of runs.
 _FLIGHTS = ".data"
@@ -37,7 +36,7 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         type=Path,
         nargs="+",
         metavar="FOLDER",
-        help="captures [two filmed flights over the town, made beside the runs, and from $TOOLKIT_DATA "
+        help="captures [two filmed flights over the town, made beside the runs, and of the data sets here "
         + " and ".join(_PHOTOS)
         + "]",
     )
@@ -109,14 +108,12 @@ def _named(folders: Sequence[Path]) -> dict[str, Path]:
 def _usual_data(runs_dir: Path, seed: int, progress: Progress) -> dict[str, Path]:
     """Return the filmed flights, made where they are missing, and the photographs that are there."""
     from toolkit.samples.drone_flights import FLIGHTS, make_drone_flight
+    from toolkit.samples.registry import locate
 
+    photos = {name: folder for name in _PHOTOS if (folder := locate(name)) is not None}
     data: dict[str, Path] = {}
     for name, settings_type in FLIGHTS.items():
         settings: OrbitVideoSettings = settings_type()
         folder = runs_dir / _FLIGHTS / f"{name}-{seed}"
         data[name] = make_drone_flight(folder, settings, seed=seed, progress=progress).folder
-    photos = os.environ.get("TOOLKIT_DATA")
-    for name in _PHOTOS if photos else ():
-        if (Path(photos or "") / name).is_dir():
-            data[name] = Path(photos or "") / name
-    return data
+    return data | photos

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.capture.frames import VideoFrames
 from toolkit.capture.video import video_info
 from toolkit.errors import CapabilityError, DataError
 from toolkit.geometry.cameras import ColmapCamera
+from toolkit.poses.slam.merge import MergeSettings
 from toolkit.poses.slam.place import Placed, Placing, place_segments
 from toolkit.poses.slam.result import SlamResult
 from toolkit.progress import Progress, silent
@@ -72,15 +72,17 @@ def scene_by_video(
     scene: Scene,
     result: SlamResult,
     how: Placing,
-    video: VideoFrames,
+    times: NDArray[np.float64],
     *,
+    settings: MergeSettings,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Placed:
     """Return the scene with the poses of those frames of the video that are its pictures.
 
     Pictures that were not tracked have no pose. The poses are in a segment's own world and scale or, with
-    ``"merge"``, in the scene's: :func:`~toolkit.poses.slam.place.place_segments`.
+    ``"merge"``, in the scene's: :func:`~toolkit.poses.slam.place.place_segments`. ``times`` (F,) are those of all
+    frames of the video.
 
     Raises
     ------
@@ -89,8 +91,10 @@ def scene_by_video(
     StageError
         Where nothing was tracked, or no segment can be merged.
     """
-    stamped = _at_video_times(scene, video.times)
-    placed = place_segments(stamped, result, how, by="time", keyframes_only=False, seed=seed, progress=progress)
+    stamped = _at_video_times(scene, times)
+    placed = place_segments(
+        stamped, result, how, settings=settings, by="time", keyframes_only=False, seed=seed, progress=progress
+    )
     frames = tuple(
         dataclasses.replace(frame, time=old.time)
         for frame, old in zip(placed.scene.frames, scene.frames, strict=True)

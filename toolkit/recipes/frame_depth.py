@@ -12,8 +12,7 @@ from toolkit.depth.monocular import DepthPrediction, MonocularDepth
 from toolkit.depth.providers import depth_provider
 from toolkit.depth.settings import DepthSettings
 from toolkit.errors import StageError
-from toolkit.poses.sensor_refine import SensorSfmSettings
-from toolkit.poses.sensors import sensor_poses
+from toolkit.poses.sensors import SensorPoseSettings, sensor_poses
 from toolkit.scene import Frame, Scene
 
 #: Those that the papers mean; what else gives depth is reported as a substitute.
@@ -75,7 +74,7 @@ class FrameDepth:
             Where the provider needs sensor poses, and there are none.
         """
         needs_poses = self.settings.provider == "ground"
-        return replace(self, scene=sensor_poses(scene, SensorSfmSettings()).scene if needs_poses else scene)
+        return replace(self, scene=sensor_poses(scene, SensorPoseSettings()).scene if needs_poses else scene)
 
 
 def frame_depth(scene: Scene, settings: DepthSettings) -> FrameDepth:

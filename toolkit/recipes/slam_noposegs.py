@@ -18,22 +18,25 @@ import numpy as np
 
 from toolkit import capture, matching, poses
 from toolkit.capture.frames import PictureSettings, video_frames
-from toolkit.files import disk_errors
+from toolkit.files import disk_errors, read_json, write_json
 from toolkit.metrics.lpips import Lpips
 from toolkit.optional import require
+from toolkit.poses.slam.merge import MergeSettings
 from toolkit.poses.slam.orb_pnp import OrbPnp, OrbPnpSettings
 from toolkit.poses.slam.orbslam3 import OrbSlam3, OrbSlam3Settings
 from toolkit.poses.slam.place import Placing
 from toolkit.poses.slam.points import SlamPointSettings, slam_points
 from toolkit.poses.slam.result import SlamBackend
+from toolkit.poses.slam.result_files import frames_file, read_result, write_result
+from toolkit.poses.slam.segments import choose_segment
 from toolkit.poses.slam.vocabulary import VocabularySettings, train_vocabulary
 from toolkit.poses.slam.vocabulary_file import check_vocabulary
+from toolkit.recipes import flight_video
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
 from toolkit.recipes.cached import CachedStage, cached_stage
 from toolkit.recipes.flight_video import Film, film_of, scene_by_video
 from toolkit.recipes.steps import SCENE, PosedStages, sfm_metrics, train_and_measure
 from toolkit.scene.folder import read_scene, write_scene
-from toolkit.scene.trajectory_files import write_tum
 from toolkit.settings import Choice, Group, Integer, Settings, Text
 from toolkit.splat.pose_presets import pose_preset_settings
 from toolkit.workspace import file_fingerprint
@@ -42,6 +45,9 @@ TRAJECTORIES = "slam_trajectories"
 """Among the artifacts: a file for each segment that was taken, with the poses of all its frames by their times in
 the video, in the segment's own world."""
 
+# What stage slam keeps: all segments, and the times of the video's frames.
+_SEGMENTS = "segments"
+_TIMES = "times.json"
 _VOCABULARY = "words.txt"
 _WORK = "slam"
 
@@ -56,6 +62,7 @@ class SlamNoposegsSettings(Settings):
         "most frames is taken; last: the last one, as in A-3DGS (section 5.4); merge: all that GPS can place, "
         "joined in metres (its section 7).",
     )
+    merge = Group(MergeSettings(), doc="How GPS joins the segments (segment=merge)")
     pictures = Group(PictureSettings(), doc="How the video's frames are written for SLAM")
     points = Group(SlamPointSettings(), doc="Points under the poses")
     train = Group(pose_preset_settings("poses-short"), doc="Gaussian splats and refined poses")
@@ -148,12 +155,40 @@ def _slam_stages(
     own: Settings,
     inputs: Mapping[str, str],
     context: RecipeContext,
-) -> tuple[tuple[CachedStage, CachedStage], dict[str, float | None]]:
-    """Return the stages slam and points with their measures, and copy the trajectory to the artifacts.
+) -> tuple[tuple[CachedStage, CachedStage, CachedStage], dict[str, float | None]]:
+    """Return the stages slam, place and points with their measures, and copy the trajectory to the artifacts.
 
     ``own`` are the backend's settings, ``inputs`` what else its result depends on.
     """
-    how: Placing = settings.segment
+    tracked = _track_stage(data, film, backend, settings, own, inputs, context)
+    placed = _place_stage(data, tracked, settings, context)
+    trajectories = context.artifacts / TRAJECTORIES
+    with disk_errors(context.artifacts, "writing"):
+        trajectories.mkdir(exist_ok=True)
+        for number in placed.report["chosen"]:
+            shutil.copyfile(tracked.folder / _SEGMENTS / frames_file(number), trajectories / frames_file(number))
+    pointed = _points_stage(placed, settings.points, context)
+    report = tracked.report
+    metrics: dict[str, float | None] = {
+        **sfm_metrics(read_scene(pointed.folder / SCENE), pointed.report),
+        "slam.segments": float(len(report["segments"])),
+        "slam.keyframes": float(sum(report["segments"][i]["keyframes"] for i in placed.report["chosen"])),
+        "slam.tracked": float(placed.report["images_tracked"]),
+        "slam.frame_ms": report["frame_ms_median"],
+    }
+    return (tracked, placed, pointed), metrics
+
+
+def _track_stage(
+    data: RecipeInput,
+    film: Film,
+    backend: SlamBackend,
+    settings: SlamNoposegsSettings,
+    own: Settings,
+    inputs: Mapping[str, str],
+    context: RecipeContext,
+) -> CachedStage:
+    """Return the stage that tracks the video; it keeps all segments, so that each choice of them finds it done."""
     work = context.artifacts / _WORK
 
     def poses_into(folder: Path) -> dict[str, Any]:
@@ -171,27 +206,19 @@ def _slam_stages(
             )
         if not any(work.iterdir()):
             work.rmdir()
-        placed = scene_by_video(data.scene, result, how, frames, seed=context.seed, progress=context.progress)
-        write_scene(placed.scene, folder / SCENE)
-        for number in placed.segments:
-            write_tum(result.segments[number].frames, folder / TRAJECTORIES / f"{number}.tum")
-        return {
-            **result.to_dict(),
-            "chosen": list(placed.segments),
-            "merged": placed.merged,
-            "images": len(placed.scene),
-            "images_tracked": len(placed.scene.registered),
-            "decoding_seconds": decoding,
-        }
+        # Raises where there is no segment: that is not kept, because another run may find some.
+        choose_segment(result)
+        write_result(result, folder / _SEGMENTS)
+        write_json(folder / _TIMES, frames.times.tolist())
+        return {**result.to_dict(), "decoding_seconds": decoding}
 
-    tracked = cached_stage(
+    return cached_stage(
         context,
         "slam",
         inputs={
             "capture": data.fingerprint,
             "video": file_fingerprint(film.path),
             "backend": backend.name,
-            "segment": how,
             "pictures": settings.pictures.to_dict(),
             **inputs,
         },
@@ -199,24 +226,46 @@ def _slam_stages(
         code=(capture, poses),
         build=poses_into,
     )
-    with disk_errors(context.artifacts, "writing"):
-        shutil.copytree(tracked.folder / TRAJECTORIES, context.artifacts / TRAJECTORIES, dirs_exist_ok=True)
-    pointed = _points_stage(tracked, settings.points, context)
-    report = tracked.report
-    metrics: dict[str, float | None] = {
-        **sfm_metrics(read_scene(pointed.folder / SCENE), pointed.report),
-        "slam.segments": float(len(report["segments"])),
-        "slam.keyframes": float(sum(report["segments"][number]["keyframes"] for number in report["chosen"])),
-        "slam.tracked": float(report["images_tracked"]),
-        "slam.frame_ms": report["frame_ms_median"],
-    }
-    return (tracked, pointed), metrics
 
 
-def _points_stage(tracked: CachedStage, settings: SlamPointSettings, context: RecipeContext) -> CachedStage:
+def _place_stage(
+    data: RecipeInput, tracked: CachedStage, settings: SlamNoposegsSettings, context: RecipeContext
+) -> CachedStage:
+    """Return the stage that gives the pictures the poses of the segments that are chosen."""
+    how: Placing = settings.segment
+
+    def scene_into(folder: Path) -> dict[str, Any]:
+        placed = scene_by_video(
+            data.scene,
+            read_result(tracked.folder / _SEGMENTS),
+            how,
+            np.array(read_json(tracked.folder / _TIMES)),
+            settings=settings.merge,
+            seed=context.seed,
+            progress=context.progress,
+        )
+        write_scene(placed.scene, folder / SCENE)
+        return {
+            "chosen": list(placed.segments),
+            "merged": placed.merged,
+            "images": len(placed.scene),
+            "images_tracked": len(placed.scene.registered),
+        }
+
+    return cached_stage(
+        context,
+        "place",
+        inputs={"slam": tracked.output.key, "segment": how},
+        settings=settings.merge,
+        code=(poses, flight_video),
+        build=scene_into,
+    )
+
+
+def _points_stage(placed: CachedStage, settings: SlamPointSettings, context: RecipeContext) -> CachedStage:
     def points_into(folder: Path) -> dict[str, Any]:
         scene = slam_points(
-            read_scene(tracked.folder / SCENE),
+            read_scene(placed.folder / SCENE),
             settings,
             seed=context.seed,
             progress=context.progress,
@@ -230,7 +279,7 @@ def _points_stage(tracked: CachedStage, settings: SlamPointSettings, context: Re
     return cached_stage(
         context,
         "points",
-        inputs={"slam": tracked.output.key},
+        inputs={"place": placed.output.key},
         settings=settings,
         code=(matching, poses),
         build=points_into,

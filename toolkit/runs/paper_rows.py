@@ -22,6 +22,7 @@ STAGE_PARTS: Mapping[str, Part] = {
     "sfm": "poses",
     "sensors": "poses",
     "slam": "poses",
+    "place": "poses",
     "depth": "poses",
     "points": "poses",
     "triangulate": "poses",

@@ -34,13 +34,10 @@ class Placement:
         Scale, rotation and shift.
     straight:
         Whether positions leave the turn about the path open, so that attitudes settled it.
-    inliers:
-        (P,) which positions agree.
     """
 
     world_from_segment: Similarity
     straight: bool
-    inliers: NDArray[np.bool_]
 
 
 def georeference_segment(
@@ -114,19 +111,17 @@ def georeference_segment(
         return align_poses([mine for mine, _ in pairs], [pose for _, pose in pairs], with_scale=True)
 
     best = _least_median(fit, np.flatnonzero(usable), 2 if straight else 3, centres, positions, sigmas, rng)
-    inliers = np.ones(len(centres), dtype=bool)
     for _ in range(_ROUNDS):
         off = _off(best, centres, positions, sigmas)
-        inliers = off <= _INLIER_SIGMAS * np.sqrt(3.0) * max(1.0, float(np.median(off)))
-        best = fit(np.flatnonzero(inliers & usable))
-    middle = float(np.median(_off(best, centres, positions, sigmas))) / np.sqrt(3.0)
+        best = fit(np.flatnonzero((off <= _INLIER_SIGMAS * max(1.0, float(np.median(off)))) & usable))
+    middle = float(np.median(_off(best, centres, positions, sigmas)))
     if middle > max_misfit:
         raise StageError(
             "Path and positions contradict each other",
             expected=f"a middle difference of at most {max_misfit:g} standard deviations",
             found=f"{middle:.1f}",
         )
-    return Placement(best, straight, inliers)
+    return Placement(best, straight)
 
 
 def _rough_scale(centres: Array, positions: Array) -> float:
@@ -138,7 +133,8 @@ def _rough_scale(centres: Array, positions: Array) -> float:
 
 
 def _off(found: Similarity, centres: Array, positions: Array, sigmas: Array) -> Array:
-    off: Array = np.linalg.norm((found.apply(centres) - positions) / sigmas, axis=1)
+    """Return how far positions (P,) are off in standard deviations, as the root mean square of the three axes."""
+    off: Array = np.linalg.norm((found.apply(centres) - positions) / sigmas, axis=1) / np.sqrt(3.0)
     return off
 
 

@@ -24,6 +24,7 @@ _HUBER = float(np.sqrt(OUTLIER_CHI2))
 _NEAREST = 1e-6  # depth below which a point counts as behind the camera
 _FIRST_DAMPING = 1e-4
 _ENOUGH = 1e-5  # part of the cost; a step that gains less is the last
+_ROUNDS, _ROUND_STEPS = 4, 4  # of a single pose: outliers are looked for after each round
 _STILL = 1e-5  # a step, in radians and in the map's units, that is of no account
 
 _System = tuple[Array, Array, Array, Array, Array]
@@ -48,15 +49,15 @@ class Observations:
 
 
 def refine_pose(
-    cam_from_world: RigidTransform, points: Array, plane: Array, sigma: Array, *, rounds: int = 4, steps: int = 4
+    cam_from_world: RigidTransform, points: Array, plane: Array, sigma: Array
 ) -> tuple[RigidTransform, Mask]:
     """Return the pose that fits points (N, 3) to where they are seen (N, 2), and which of them fit (N,).
 
     After each round the outliers are looked for anew; those of the round before take no part.
     """
     pose, inliers = cam_from_world, np.ones(len(points), dtype=bool)
-    for _ in range(rounds):
-        for _ in range(steps):
+    for _ in range(_ROUNDS):
+        for _ in range(_ROUND_STEPS):
             residual, by_pose, _, front = _linearise(
                 pose.rotation[None], pose.translation[None], points, plane, sigma
             )

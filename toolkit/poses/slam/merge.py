@@ -316,5 +316,5 @@ def _told(part: _Part, number: int | None, graph: PoseGraph, solution: GraphSolu
         straight=part.placement.straight,
         scale=float(np.exp(solution.state.log_scales[number])),
         rejected=int((mine & ~believed).sum()),
-        position_residual=float(np.sqrt(np.mean(np.square(off[believed])))),
+        position_residual=float(np.sqrt(np.mean(np.square(off[believed])))) if believed.any() else None,
     )

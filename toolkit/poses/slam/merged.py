@@ -32,7 +32,8 @@ class MergedSegment:
     rejected:
         Positions that hardly counted (a quarter of their weight, or less).
     position_residual:
-        Root mean square distance, in metres, of the other positions from the path; None where it was left out.
+        Root mean square distance, in metres, of the other positions from the path; None where it was left out, or
+        no other position is left.
     """
 
     number: int

@@ -132,7 +132,7 @@ class OrbExtractor:
         """Return positions (N, 2) on the plane at depth one and the size (N,) of a pixel there."""
         plane = self._on_plane(pixels)
         if self._camera.is_pinhole:
-            return plane, np.full(len(plane), 1.0 / mean_focal(self._camera))
+            return plane, np.full(len(plane), 1.0 / self._camera.to_pycolmap().mean_focal_length())
         right = self._on_plane(pixels + np.array([1.0, 0.0])) - plane
         down = self._on_plane(pixels + np.array([0.0, 1.0])) - plane
         area = np.abs(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0])
@@ -142,11 +142,6 @@ class OrbExtractor:
         directions = self._camera.ray(pixels)[1]
         plane: Array = directions[:, :2] / directions[:, 2:]
         return plane
-
-
-def mean_focal(camera: ColmapCamera) -> float:
-    """Return the mean of the focal lengths in pixels."""
-    return float(np.mean(np.diagonal(camera.intrinsics)[:2]))
 
 
 def read_grey(path: Path, camera: ColmapCamera) -> NDArray[np.uint8]:

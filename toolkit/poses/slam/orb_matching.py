@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.optional import require
+from toolkit.poses.slam.hamming import hamming
 from toolkit.poses.slam.orb_features import SCALE_FACTOR, Array, Features, Indices
 
 Descriptors = NDArray[np.uint8]
@@ -22,14 +23,6 @@ _LINE_CHI2 = 3.84
 #: Pyramid levels by which two views of one thing may differ from what their distances say.
 _OCTAVE_SLACK = 1.6
 _NONE = 1000  # bits: more than there are
-
-_BITS = np.array([bin(value).count("1") for value in range(1 << 16)], dtype=np.uint8)
-
-
-def hamming(a: Descriptors, b: Descriptors) -> NDArray[np.int64]:
-    """Return in how many bits descriptors (..., 32) differ, broadcast over the leading axes."""
-    differing = np.bitwise_xor(a.view(np.uint16), b.view(np.uint16))
-    return _BITS[differing].sum(axis=-1, dtype=np.int64)
 
 
 def match_anywhere(a: Descriptors, b: Descriptors) -> Indices:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -121,6 +122,7 @@ class OrbSlam3:
             "pictures": [str(path.absolute()) for path in pictures],
             "times": clock_seconds(times).tolist(),
             "pace": self.settings.pace,
+            "parent": os.getpid(),
         }
         write_json(work_dir / "job.json", job)
         run_child(

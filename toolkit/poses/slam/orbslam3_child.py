@@ -60,11 +60,10 @@ def _track(job: dict[str, Any], folder: Path) -> dict[str, Any]:
     package = require("pyorbslam3")
     slam = package.Slam(job["vocabulary"], job["settings"], package.Sensor.MONOCULAR, use_viewer=False)
     maps = _Maps(slam, folder)
-    parent = os.getppid()
     frames, changes = [], []
     with (folder / "progress.txt").open("w", encoding="ascii", buffering=1) as lines:
         for number, (picture, seconds) in enumerate(zip(job["pictures"], job["times"], strict=True)):
-            if os.getppid() != parent:
+            if os.getppid() != job["parent"]:
                 sys.exit("the process that wanted this is gone")
             image = load_picture(Path(picture))
             start = time.perf_counter()

@@ -37,9 +37,9 @@ class Placed:
 def place_segments(
     scene: Scene,
     result: SlamResult,
-    how: Placing = "largest",
+    how: Placing,
     *,
-    settings: MergeSettings | None = None,
+    settings: MergeSettings,
     by: By = "number",
     keyframes_only: bool = True,
     seed: int = 0,
@@ -58,7 +58,7 @@ def place_segments(
         (:func:`~toolkit.poses.slam.segments.scene_with_segment`); ``"merge"``: those of all segments that GPS can
         place, in metres in the scene's own frame (:func:`~toolkit.poses.slam.merge.merge_segments`).
     settings:
-        Of ``"merge"``; None: the defaults.
+        Of ``"merge"``.
     by, keyframes_only:
         As :func:`~toolkit.poses.slam.segments.scene_with_segment` takes them.
     seed, progress:
@@ -75,7 +75,7 @@ def place_segments(
         merged = merge_segments(
             result,
             scene,
-            settings or MergeSettings(),
+            settings,
             by=by,
             keyframes_only=keyframes_only,
             seed=seed,

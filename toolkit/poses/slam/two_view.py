@@ -105,7 +105,9 @@ def first_motion(
         motions, explained = _essential_motions(matrix), on_lines
     if explained.sum() < max(least, _EXPLAINED * len(first)):
         return NoMotion(f"one motion explains {int(explained.sum())} of {len(first)} matches only")
-    turned = _rotation_inliers(first[explained], second[explained], second_sigma[explained])
+    # Both views are noisy, and a turn takes the noise of the first into the second.
+    both = np.hypot(first_sigma[explained], second_sigma[explained])
+    turned = _rotation_inliers(first[explained], second[explained], both)
     if turned > _ROTATION_SHARE:
         return NoMotion(
             f"the camera turned or stood still: a rotation alone explains {100 * turned:.0f} % of the matches"
@@ -206,7 +208,10 @@ def _refined(
 
 
 def _rotation_inliers(first: Array, second: Array, sigma: Array) -> float:
-    """Return the share of matches that the best rotation explains, found by trimmed least squares on the rays."""
+    """Return the share of matches that the best rotation explains, found by trimmed least squares on the rays.
+
+    ``sigma`` (N,) are the standard deviations of the differences between the views.
+    """
     rays = [np.concatenate([plane, np.ones((len(plane), 1))], axis=1) for plane in (first, second)]
     a, b = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
     keep = np.arange(len(a))

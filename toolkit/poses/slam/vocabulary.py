@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from toolkit.errors import DataError
 from toolkit.files import atomic_path
 from toolkit.optional import require
+from toolkit.poses.slam.hamming import hamming
 from toolkit.poses.slam.vocabulary_file import BUCKET_LEVELS, BYTES
 from toolkit.progress import Progress, ProgressEvent, silent, track
 from toolkit.scene.photos import photo_names
@@ -210,18 +211,13 @@ def _k_majority(
 def _seeds(packed: Words, branches: int, rng: np.random.Generator) -> Words:
     """Return up to ``branches`` different descriptors, far ones more likely (k-means++, Arthur 2007)."""
     chosen = [int(rng.integers(len(packed)))]
-    nearest = _distance(packed, packed[chosen[0]])
+    nearest = hamming(packed, packed[chosen[0]])
     while len(chosen) < branches and nearest.any():
         squared = nearest.astype(np.float64) ** 2
         chosen.append(int(rng.choice(len(packed), p=squared / squared.sum())))
-        nearest = np.minimum(nearest, _distance(packed, packed[chosen[-1]]))
+        nearest = np.minimum(nearest, hamming(packed, packed[chosen[-1]]))
     return packed[chosen]
 
 
 def _nearest(packed: Words, centres: Words) -> NDArray[np.intp]:
-    return np.argmin([_distance(packed, centre) for centre in centres], axis=0)
-
-
-def _distance(packed: Words, centre: Words) -> NDArray[np.int64]:
-    """Return Hamming distances (N,)."""
-    return np.asarray(np.bitwise_count(packed ^ centre).sum(axis=1, dtype=np.int64))
+    return np.argmin([hamming(packed, centre) for centre in centres], axis=0)
