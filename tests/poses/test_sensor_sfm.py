@@ -12,6 +12,7 @@ from flight_matches import flight, nadir_block, pose, with_prior
 
 from toolkit.errors import Cancelled, DataError, StageError
 from toolkit.geometry.attitude import Attitude
+from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.poses.sensor_sfm import SensorSfmResult, SensorSfmSettings, sensor_sfm
@@ -50,6 +51,46 @@ def test_pictures_take_sensor_poses_to_their_own_accuracy(tmp_path: Path) -> Non
     raw = trajectory_errors(found.sensors.scene, truth, "none")
     assert place.rot < raw.rot / 2
     json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_square_pixels_stay_square_unless_asked_otherwise(tmp_path: Path) -> None:
+    scene, truth, database = flight(tmp_path, tilted_block())
+    camera = truth.cameras[1]
+    assert isinstance(camera, ColmapCamera)
+    assert camera.model == "PINHOLE"
+    square, free = (refine(scene, database, square_pixels=both).scene.cameras[1] for both in (True, False))
+    assert isinstance(square, ColmapCamera)
+    assert isinstance(free, ColmapCamera)
+    # The model is that of the scene either way, and only where it was asked for do noisy pictures tell them apart.
+    assert square.model == free.model == "PINHOLE"
+    assert square.params[0] == square.params[1]
+    assert free.params[0] != free.params[1]
+
+
+def test_rounds_end_where_the_error_is_that_of_the_pictures(tmp_path: Path) -> None:
+    scene, truth, database = flight(tmp_path, tilted_block())
+    events: list[ProgressEvent] = []
+    few, many = (
+        sensor_sfm(
+            scene,
+            database,
+            SensorSfmSettings(rounds=rounds),
+            work_dir=database.parent / "work",
+            progress=events.append,
+        )
+        for rounds in (2, 10)
+    )
+    assert len(few.rounds) == 2
+    assert len(many.rounds) < 4
+    # Both end with the same points under poses that agree to a thousandth of the pixels' accuracy.
+    apart = trajectory_errors(many.scene, few.scene, "none")
+    assert apart.rot < 0.005
+    refining = [event for event in events if event.stage == "sensors.refine"]
+    assert refining[-1].done == refining[-1].total
+    # One round has the tight limit from the start: under the noise of the sensors few rays meet.
+    one = refine(scene, database, rounds=1)
+    assert one.mean_track_length < 0.7 * few.mean_track_length
+    assert trajectory_errors(one.scene, truth, "sim3").rot > 2 * trajectory_errors(few.scene, truth, "sim3").rot
 
 
 def test_a_focal_length_that_nothing_determines_is_kept_and_told(tmp_path: Path) -> None:

@@ -31,6 +31,8 @@ _PRIOR_LOSS_SCALE = 2.8
 _DETERMINED = 0.001
 # The cost changes by less than this part in the last step: poses move by far less than their standard deviation.
 _TOLERANCE = 1e-6
+# Where another round follows.
+_COARSE_TOLERANCE = 1e-4
 _STEPS = 200
 
 #: Largest relative standard deviation of a focal length that counts as determined.
@@ -86,6 +88,7 @@ def adjust(
     refine_principal_point: bool,
     max_error: float,
     min_angle: float,
+    coarse: bool = False,
     threads: int = 0,
     check_cancelled: Callable[[], None] = lambda: None,
     priors: Sequence[pycolmap.PosePrior] = (),
@@ -103,6 +106,8 @@ def adjust(
     max_error, min_angle:
         Observations with a larger error in pixels afterwards, and points seen under a smaller angle in degrees,
         are removed.
+    coarse:
+        Whether another adjustment follows and this one may stop earlier.
     threads:
         Of the solver; 0: as many as there are cores.
     check_cancelled:
@@ -118,7 +123,7 @@ def adjust(
         refine_focal_length=refine_focal, refine_extra_params=refine_distortion, print_summary=False
     )
     options.ceres.solver_options.num_threads = threads or -1
-    options.ceres.solver_options.function_tolerance = _TOLERANCE
+    options.ceres.solver_options.function_tolerance = _COARSE_TOLERANCE if coarse else _TOLERANCE
     options.ceres.solver_options.max_num_iterations = _STEPS
     focal, focal_sigma = _focal(reconstruction, options, noise, priors)
     options.refine_focal_length = focal == "refined"

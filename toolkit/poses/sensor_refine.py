@@ -12,7 +12,7 @@ import pycolmap
 
 from toolkit.errors import Cancelled, StageError
 from toolkit.geometry.cameras import ColmapCamera
-from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
+from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors, residual_noise
 from toolkit.poses.resection import Resection, place_by_points
 from toolkit.poses.sensor_biases import correct, estimate_biases
 from toolkit.poses.sensors import SensorPoseSettings
@@ -20,6 +20,11 @@ from toolkit.poses.triangulation import triangulation_options
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Frame, Scene, scene_from_pycolmap
 from toolkit.settings import Boolean, Integer, Number
+
+# Errors left by a coarse round are smaller than this many standard deviations of its residuals.
+_REACH = 8.0
+# A round that does not halve the error is followed by one that asks for half of it.
+_SLOWEST = 0.5
 
 
 class SensorSfmSettings(SensorPoseSettings):
@@ -31,7 +36,10 @@ class SensorSfmSettings(SensorPoseSettings):
         "too; no: they are only reported.",
     )
     rounds = Integer(
-        4, bounds=(1, 10), doc="How often points are triangulated anew and everything is adjusted, ever tighter."
+        4,
+        bounds=(1, 10),
+        doc="At most so often are points triangulated anew and everything adjusted, ever tighter; it ends with "
+        "the first round whose limit is max_error, usually the second.",
     )
     first_error = Number(
         8.0,
@@ -58,6 +66,11 @@ class SensorSfmSettings(SensorPoseSettings):
     )
     min_matches = Integer(15, bounds=(6, 1000), unit="matches", doc="Pairs with fewer inliers are not used.")
     refine_focal = Boolean(True, doc="Find the focal length; no: keep that of the scene's cameras.")
+    square_pixels = Boolean(
+        True,
+        doc="A pinhole camera that starts with two equal focal lengths keeps them equal: flights in circles hardly "
+        "tell one of them from the tilt of the camera.",
+    )
     refine_distortion = Boolean(True, doc="Find the distortion; no: keep that of the scene's cameras.")
     refine_principal_point = Boolean(
         True, doc="Find the principal point in the last round, where the pictures determine it."
@@ -98,53 +111,71 @@ class Refinement:
         cameras = {scene.camera_of(frame) for frame in scene.registered}
         focals = [camera.intrinsics[0, 0] for camera in cameras if isinstance(camera, ColmapCamera)]
         self._focal = float(np.median(focals))
-        last = math.degrees(math.atan(settings.max_error / self._focal))
-        self._limits = np.geomspace(max(settings.first_error, last), last, settings.rounds)
-        # One round leaves no coarse one before it.
-        self._limits[-1] = last
+        self._done = False
 
     def event(self) -> ProgressEvent:
         """Say how far it is."""
-        return ProgressEvent("sensors.refine", min(len(self.reports), len(self._limits)), len(self._limits))
+        most = self._settings.rounds
+        return ProgressEvent("sensors.refine", most if self._done else min(len(self.reports), most - 1), most)
 
     def run(self, token: pycolmap.CancellationToken) -> pycolmap.Reconstruction:
         """Return the adjusted reconstruction."""
         settings = self._settings
         model = self.scene.to_pycolmap()
-        for number, limit in enumerate(self._limits):
-            model = self._round(model, number, float(limit), token)
+        # In pixels at the middle of a picture, so that it can be told from the residuals.
+        limit = max(self._focal * math.tan(math.radians(settings.first_error)), settings.max_error)
+        for number in range(settings.rounds - 1):
+            if limit <= settings.max_error:
+                break
+            model = self._round(model, limit, token, final=False, first=number == 0)
             if number == 0 and settings.estimate_biases:
-                found = scene_from_pycolmap(model, self.scene.image_dir, like=self.scene)
-                corrected = correct(found, estimate_biases(found, turns=self._turns), turns=self._turns)
-                self.scene = self.scene.replace(
-                    frames=tuple(
-                        _with_position_of(frame, better)
-                        for frame, better in zip(self.scene.frames, corrected.frames, strict=True)
-                    )
-                )
+                self._correct_positions(model)
+            limit = max(min(_REACH * residual_noise(model), _SLOWEST * limit), settings.max_error)
         if settings.place_others and len(self.scene.registered) < len(self.scene):
-            self.others = place_by_points(
-                scene_from_pycolmap(model, self.scene.image_dir, like=self.scene),
-                model,
-                self._database,
-                max_error=settings.max_error,
-                least=settings.min_points,
-                seed=self._seed,
-            )
-            if self.others.placed:
-                model = self.others.scene.replace(points=None).to_pycolmap()
-                model = self._round(model, len(self._limits) - 1, float(self._limits[-1]), token)
+            if not self.reports:  # the others need points
+                model = self._round(model, settings.max_error, token, final=False, first=False)
+            model = self._with_others(model, limit)
+        model = self._round(model, settings.max_error, token, final=True, first=False)
+        self._done = True
         return model
 
+    def _correct_positions(self, model: pycolmap.Reconstruction) -> None:
+        """Take what is wrong with all positions out of those that hold the rounds that follow."""
+        found = scene_from_pycolmap(model, self.scene.image_dir, like=self.scene)
+        corrected = correct(found, estimate_biases(found, turns=self._turns), turns=self._turns)
+        self.scene = self.scene.replace(
+            frames=tuple(
+                _with_position_of(frame, better)
+                for frame, better in zip(self.scene.frames, corrected.frames, strict=True)
+            )
+        )
+
+    def _with_others(self, model: pycolmap.Reconstruction, limit: float) -> pycolmap.Reconstruction:
+        """Return the reconstruction with the frames that points place, for a last round with all frames."""
+        self.others = place_by_points(
+            scene_from_pycolmap(model, self.scene.image_dir, like=self.scene),
+            model,
+            self._database,
+            max_error=limit,
+            least=self._settings.min_points,
+            seed=self._seed,
+        )
+        return self.others.scene.replace(points=None).to_pycolmap() if self.others.placed else model
+
     def _round(
-        self, model: pycolmap.Reconstruction, number: int, limit: float, token: pycolmap.CancellationToken
+        self,
+        model: pycolmap.Reconstruction,
+        pixels: float,
+        token: pycolmap.CancellationToken,
+        *,
+        final: bool,
+        first: bool,
     ) -> pycolmap.Reconstruction:
         def check_cancelled() -> None:
             if token.is_cancelled:
                 raise Cancelled("Cancelled in the refinement of sensor poses")
 
-        settings, final = self._settings, number == len(self._limits) - 1
-        pixels = settings.max_error if final else self._focal * math.tan(math.radians(limit))
+        settings = self._settings
         check_cancelled()
         model = pycolmap.triangulate_points(
             model,
@@ -154,7 +185,7 @@ class Refinement:
             self._database.parent / "model",
             clear_points=True,
             options=triangulation_options(
-                degrees=limit,
+                degrees=math.degrees(math.atan(pixels / self._focal)),
                 pixels=pixels,
                 min_angle=settings.min_angle,
                 seed=self._seed,
@@ -170,10 +201,11 @@ class Refinement:
             model,
             refine_focal=settings.refine_focal,
             # Poses that are still coarse would be taken for distortion.
-            refine_distortion=settings.refine_distortion and (number > 0 or final),
+            refine_distortion=settings.refine_distortion and not first,
             refine_principal_point=settings.refine_principal_point and final,
             max_error=pixels,
             min_angle=settings.min_angle,
+            coarse=not final,
             threads=settings.threads,
             check_cancelled=check_cancelled,
             priors=position_priors(self.scene, model),

@@ -30,6 +30,7 @@ from toolkit.poses.sensor_pixels import PixelCheck, check_pixels
 from toolkit.poses.sensor_refine import Refinement, SensorSfmSettings
 from toolkit.poses.sensors import SensorPoses, sensor_poses, some
 from toolkit.poses.sfm_failure import check_matches
+from toolkit.poses.square_pixels import with_models_of, with_one_focal
 from toolkit.progress import Progress, silent
 from toolkit.scene import Frame, Scene, scene_from_pycolmap
 
@@ -158,7 +159,9 @@ def sensor_sfm(
             sensors = dataclasses.replace(turned, warnings=sensors.warnings)
         checked = time.perf_counter()
         contradicted = pixels.contradicted if settings.distrust else {}
-        trusted = _without_readings(_with_start_cameras(sensors.scene, copy), contradicted)
+        started = _with_start_cameras(sensors.scene, copy)
+        trusted = with_one_focal(started, copy) if settings.square_pixels else started
+        trusted = _without_readings(trusted, contradicted)
         trusted = _without_guesses(trusted, sensors.from_flight_line)
         turns = pixels.turns if settings.correct_turns else {}
         job = Refinement(trusted, copy, settings, seed, turns)
@@ -172,7 +175,7 @@ def sensor_sfm(
         **{name: f"the pictures contradict its {reading}" for name, reading in contradicted.items()},
     }
     not_placed = _drop_unsupported(model, sensors.scene, unusable, job.others, settings.min_points)
-    found = scene_from_pycolmap(model, scene.image_dir, like=sensors.scene)
+    found = with_models_of(scene_from_pycolmap(model, scene.image_dir, like=sensors.scene), started)
     if len(found.registered) < 2:
         raise StageError(
             "The pictures do not support the sensors' poses",

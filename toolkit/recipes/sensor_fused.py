@@ -25,7 +25,7 @@ class SensorFusedSettings(Settings):
 
     Features default to ``first_octave=0`` (the picture is not doubled first) and at most 2,048 a photo: on the
     sample flight a third of the time and a third of the features, with residuals of 0.27 px instead of 0.19. For
-    the last hundredths of a degree set ``sift.first_octave`` to -1. Three rounds of adjustment end where four do.
+    the last hundredths of a degree set ``sift.first_octave`` to -1.
 
     Training does not refine the poses: on two sample flights (24 photos of 240 x 180, 600 steps) free refinement
     changed PSNR of test photos by -0.25 to +0.11 dB and made poses 3 to 5 % (ROT) and 10 to 14 % (POS) better, and
@@ -36,7 +36,7 @@ class SensorFusedSettings(Settings):
     pairs = Group(PairSettings(method="sensor"), doc="Which photos are matched with which")
     match = Group(MatchSettings(), doc="Matching and geometric verification")
     sensors = Group(
-        SensorSfmSettings(attitude="auto", rounds=3),
+        SensorSfmSettings(attitude="auto"),
         doc="Poses from GPS and gimbal, refined by the pictures, and their biases",
     )
     train = Group(
