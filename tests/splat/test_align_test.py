@@ -137,7 +137,7 @@ def test_a_scene_that_was_not_trained_on_is_refused(scene: Scene) -> None:
 
 def test_test_poses_are_found_from_their_photos_when_the_splat_is_the_truth(scene: Scene) -> None:
     off = shaken(scene, "test", 3.0)
-    chosen = TrainSettings(lr_camera=5e-3, lr_camera_final=1e-5)
+    chosen = TrainSettings()
     found = refine_test_poses(true_gaussians(), off, chosen, steps=150)
     for frame in scene.frames:
         before, start, end = (s.frame(frame.name).cam_from_world for s in (scene, off, found))
@@ -147,9 +147,9 @@ def test_test_poses_are_found_from_their_photos_when_the_splat_is_the_truth(scen
         if frame.split == "train":
             assert end is start
         else:
-            # A turn and a shift look nearly alike in pictures this small: the pictures say when a pose is found.
             assert pose_change(before, start)[1] == pytest.approx(3)
-            assert pose_change(before, end)[1] < 1.5
+            # Seen: 0.02 to 0.04 degrees; photos of 8 bits and this small tell about a tenth.
+            assert pose_change(before, end)[1] < 0.15
     sharp = [psnr(v.render, v.photo) for v in render_test_views(true_gaussians(), found, chosen)]
     blurred = [psnr(v.render, v.photo) for v in render_test_views(true_gaussians(), off, chosen)]
     assert max(blurred) < 25  # dB
@@ -189,7 +189,7 @@ def test_test_renders_with_fitted_poses_have_columns_of_their_own(scene: Scene, 
     # LPIPS takes no pictures as small as these.
     off = shaken(scene, "test", 2.0)
     lpips = cast(Lpips, NoLpips())
-    chosen = TrainSettings(refine_test_steps=60, lr_camera=5e-3)
+    chosen = TrainSettings(refine_test_steps=60)
     metrics, report = measure_refined_test_renders(true_gaussians(), off, chosen, lpips, context)
     unfitted = [psnr(v.render, v.photo) for v in render_test_views(true_gaussians(), off, chosen)]
     assert metrics["test_refined.views"] == 3

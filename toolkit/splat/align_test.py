@@ -24,19 +24,16 @@ from toolkit.geometry.alignment import Similarity, align_poses
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Points, Scene
-from toolkit.splat.evaluate import fixed_background, raster_settings
+from toolkit.splat.evaluate import raster_settings
 from toolkit.splat.gaussians import Gaussians
-from toolkit.splat.images import Photo, Pyramid, load_photo
-from toolkit.splat.initialise import scene_extent
-from toolkit.splat.loss import photometric_loss
-from toolkit.splat.pose_refine import PoseRefinement, xi_rates
-from toolkit.splat.rasterize import Views, rasterize
-from toolkit.splat.train_settings import TrainSettings, decayed
+from toolkit.splat.images import load_photo
+from toolkit.splat.relative_pose import RelativePoseSettings, find_relative_pose
+from toolkit.splat.train_settings import TrainSettings
 
-#: Up to this share of the steps on a test pose the photo's sides are divided by 4, then by 2, then not.
-_COARSE: Final = ((0.3, 4), (0.6, 2), (1.0, 1))
-#: But never to fewer pixels than these on the shorter side: less tells no pose.
-_FEWEST_PIXELS: Final = 24
+#: Share of a test photo that must be covered.
+_LEAST_COVERED: Final = 0.1
+#: A test pose counts however unlike its photo the splat still is: that is what is measured.
+_ANY_LOSS: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,54 +133,32 @@ def refine_test_poses(
 ) -> Scene:
     """Return the scene with each test pose moved to where the frozen Gaussians look most like its photo.
 
-    From coarse to fine: a quarter of the photo's sides, a half, then in full; small photos less so. The learning
-    rate falls from ``lr_camera`` to ``lr_camera_final`` of the settings, and the loss is that of the training.
+    By :func:`toolkit.splat.relative_pose.find_relative_pose`, from coarse to fine, with the loss of the training. A
+    photo of which the Gaussians cover less than a tenth keeps its pose: it tells none.
 
     Parameters
     ----------
     steps:
-        For each test frame.
+        At most, for each test frame.
 
     Raises
     ------
     NumericalError
         Where a pose is no longer finite.
     """
-    frozen, extent = gaussians.detach(), scene_extent(scene)
+    frozen = gaussians.detach()
+    search = RelativePoseSettings(
+        steps=steps, lambda_dssim=settings.lambda_dssim, min_overlap=_LEAST_COVERED, max_loss=_ANY_LOSS
+    )
     poses: dict[str, RigidTransform] = {}
     for frame in track(scene.of_split("test"), "splat.test_poses", progress):
-        if frame.cam_from_world is not None:
-            photo = load_photo(scene, frame, settings.max_side, device=device)
-            poses[frame.name] = _found_pose(frozen, photo, frame.cam_from_world, settings, extent, steps, device)
+        if frame.cam_from_world is None:
+            continue
+        photo = load_photo(scene, frame, settings.max_side, device=device)
+        found = find_relative_pose(frozen, photo, frame.cam_from_world, search, raster_settings(settings))
+        if found.cam_from_world is not None:
+            poses[frame.name] = found.cam_from_world
     frames = tuple(
         replace(frame, cam_from_world=poses[frame.name]) if frame.name in poses else frame for frame in scene.frames
     )
     return scene.replace(frames=frames)
-
-
-def _found_pose(
-    gaussians: Gaussians,
-    photo: Photo,
-    start: RigidTransform,
-    settings: TrainSettings,
-    extent: float,
-    steps: int,
-    device: str,
-) -> RigidTransform:
-    pyramid, poses = Pyramid((photo,)), PoseRefinement.start([start])
-    background = fixed_background(settings, gaussians.means)
-    for step in range(1, steps + 1):
-        shrink = next(factor for share, factor in _COARSE if step <= share * steps)
-        small = pyramid.photo(
-            0, max(1, min(shrink, min(photo.camera.width, photo.camera.height) // _FEWEST_PIXELS))
-        )
-        xi, pose = poses.of_photo(0)
-        views = Views(pose[None].to(gaussians.means), small.views.intrinsics, small.views.width, small.views.height)
-        render = rasterize(gaussians, views, raster_settings(settings), background=background).colour[0]
-        photometric_loss(
-            render, small.colours(device), lambda_dssim=settings.lambda_dssim, weights=small.weights(device)
-        ).backward()
-        assert xi.grad is not None  # the loss depends on the pose
-        rate = decayed(settings.lr_camera, settings.lr_camera_final, step, steps)
-        poses.step(0, xi.grad, xi_rates(rate, extent), step)
-    return poses.transforms()[0]
