@@ -56,11 +56,13 @@ dashboard: $(VENV)/.ui  ## Serve the page of runs on this machine: RUNS=folder, 
 test: $(VENV)/.dev  ## Run the tests.
 	$(BIN)/python -m pytest
 
-bench: $(VENV)/.dev  ## Measure (an hour): rasterizer, training, sensor poses, real photos where TOOLKIT_DATA names them.
+bench: $(VENV)/.dev  ## Measure (three hours): rasterizer, training, poses, SLAM, real photos where TOOLKIT_DATA names them.
 	$(BIN)/python tests/benchmarks/performance.py
 	$(BIN)/python tests/benchmarks/quality.py schedule --work runs/quality
 	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
 	$(BIN)/python tests/benchmarks/sensor_poses.py --runs runs/bench-sensors
+	$(BIN)/python tests/benchmarks/drone_poses.py --runs runs/bench-drone
+	$(BIN)/python tests/benchmarks/slam.py --work runs/bench-slam
 
 lint: $(VENV)/.dev  ## Check style and types.
 	$(BIN)/ruff format --check .

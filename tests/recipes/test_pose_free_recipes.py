@@ -22,6 +22,7 @@ from toolkit.recipes.frame_depth import FrameDepth, frame_depth, unscaled_depth
 from toolkit.recipes.noposegs import NoposegsSettings
 from toolkit.recipes.registry import find_recipe
 from toolkit.recipes.steps import SCENE
+from toolkit.runs.paper_rows import ROWS
 from toolkit.samples import SampleSettings, make_sample
 from toolkit.scene import Scene
 from toolkit.scene.folder import read_scene
@@ -84,6 +85,21 @@ def test_cf_3dgs_runs_to_its_measures(flight: tuple[Path, Scene], tmp_path: Path
     assert result.metrics["test.views"] == 1
     assert (tmp_path / "artifacts" / result.test_views[0].render).is_file()
     json.dumps(result.to_dict(), allow_nan=False)
+
+
+def test_cf_3dgs_without_a_network_says_that_the_ground_stood_in(
+    flight: tuple[Path, Scene], tmp_path: Path
+) -> None:
+    row = next(row for row in ROWS if row.key == "cf-3dgs-ground")
+    recipe = find_recipe(row.recipe)
+    settings = recipe.settings_type().replace({**QUICK, **row.changes})
+    result = recipe.run(given(flight), settings, context(tmp_path))
+    assert result.reports["depth"] == {
+        "provider": "ground",
+        "source": "ground plane at z = 0 m",
+        "substitute": True,
+    }
+    assert result.metrics["cf3dgs.registered"] == result.metrics["cf3dgs.frames"] == 4
 
 
 def test_noposegs_chains_and_then_refines(flight: tuple[Path, Scene], tmp_path: Path) -> None:

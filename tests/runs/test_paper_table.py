@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,9 @@ from toolkit.runs.paper_rows import MEASURES, ROWS, PaperFigures, PaperRow
 from toolkit.runs.paper_runs import Attempt, TableOptions, make_attempts, row_settings
 from toolkit.runs.paper_table import Entry, PaperTable, TableRow, paper_table, stage_seconds
 from toolkit.runs.paper_text import clock, table_csv, table_latex, table_markdown, write_table
+from toolkit.runs.record import RunRecord
 
+SUBSTITUTING = {"depth.provider", "start"}
 FAKE = PaperRow("fake", "Fake & Co_100%", "fake", paper_title="Fake", paper=ROWS[2].paper)
 STRICT = PaperRow("strict", "Strict", "fake", {"loop.rate": 1.0}, needs="gps and gimbal")
 ABSENT = PaperRow("absent", "Absent", "nothing-of-this-name")
@@ -222,6 +226,32 @@ def test_runs_are_made_failures_recorded_and_finished_ones_taken_again(photos: P
     assert len(list_runs(options.runs_dir)) == 2  # the failed one was tried again in its own folder
 
 
+def test_the_record_of_a_run_is_read_once_for_a_table(
+    photos: Path, options: TableOptions, finished: MakeRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others = {finished(loop__rate=rate) for rate in (0.7, 0.8)}  # of no row of this table
+    read: Counter[RunFolder] = Counter()
+    record = RunFolder.record
+
+    def counted(run: RunFolder) -> RunRecord:
+        read[run] += 1
+        return record(run)
+
+    monkeypatch.setattr(RunFolder, "record", counted)
+    rows = [dataclasses.replace(FAKE, key=str(rate), changes={"loop.rate": rate}) for rate in (1.0, 1.1, 1.2)]
+    attempts = make_attempts(rows, {"set": photos}, {"fake": RECIPE}, options)
+    assert {read[run] for run in others} == {1}
+    assert len({attempt.run for attempt in attempts}) == len(rows)
+
+
+def test_a_run_that_one_row_made_is_taken_by_the_next_that_asks_for_the_same(
+    photos: Path, options: TableOptions
+) -> None:
+    twin = dataclasses.replace(FAKE, key="twin")
+    first, second = make_attempts([FAKE, twin], {"set": photos}, {"fake": RECIPE}, options)
+    assert first.run == second.run
+
+
 def test_another_setting_seed_or_force_makes_another_run(photos: Path, options: TableOptions) -> None:
     def run_of(changed: TableOptions) -> RunFolder | None:
         return make_attempts([FAKE], {"set": photos}, {"fake": RECIPE}, changed)[0].run
@@ -296,6 +326,15 @@ def test_every_row_has_a_recipe_that_takes_its_changes(options: TableOptions) ->
         settings = dict(row_settings(row, recipes[row.recipe], options).items())
         assert settings["train.steps"] == 7
         assert all(settings[name] == value for name, value in row.changes.items())
+
+
+def test_what_stands_in_for_a_network_has_a_title_of_its_own_beside_no_figures_of_the_paper() -> None:
+    substitutes = [row for row in ROWS if row.recipe == "sensor-ground" or row.changes.keys() & SUBSTITUTING]
+    assert {row.recipe for row in substitutes} == {"cf-3dgs", "noposegs", "sensor-ground"}
+    for row in substitutes:
+        assert row.paper is None
+        assert "plane" in row.title
+    assert len({row.title for row in ROWS}) == len(ROWS)
 
 
 @pytest.mark.parametrize("rank", ["median", "worst"])

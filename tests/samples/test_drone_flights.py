@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,11 +16,11 @@ from toolkit.progress import ProgressEvent
 from toolkit.samples.drone_flights import (
     FLIGHTS,
     OrbitVideoSettings,
-    SpiralVideoSettings,
     make_drone_flight,
     open_drone_flight,
 )
 from toolkit.samples.flights import flight_poses
+from toolkit.samples.sensors import prior_of, read_sensors
 from toolkit.samples.town import build_town
 from toolkit.scene.dataset import open_capture
 from toolkit.scene.pictures import load_picture
@@ -48,30 +49,49 @@ def steps(poses: list[RigidTransform]) -> np.ndarray:
     return np.degrees([rotation_angle(a.rotation @ b.rotation.T) for a, b in pairwise(poses)])
 
 
-@pytest.mark.parametrize(("name", "keyframes"), [("orbit", 60), ("spiral", 120)])
-def test_the_flights_have_the_keyframes_that_were_asked_for_and_turn_as_tracking_needs(
-    name: str, keyframes: int
-) -> None:
-    settings = FLIGHTS[name]()
-    assert len(range(0, settings.flight.frames, settings.keyframe_every)) == keyframes
+@cache
+def flown(name: str, **changes: float) -> list[RigidTransform]:
+    """Return the poses of all frames of a flight; ``changes`` are settings of the flight."""
+    settings = FLIGHTS[name]().replace({f"flight.{key}": value for key, value in changes.items()})
     town = build_town(settings.town, np.random.default_rng([0, 0]))
-    turned = steps(flight_poses(settings.flight, town, np.random.default_rng([0, 1])))
+    return flight_poses(settings.flight, town, np.random.default_rng([0, 1]))
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_frames_turn_as_little_as_tracking_needs_and_keyframes_enough_to_be_pictures(name: str) -> None:
+    settings = FLIGHTS[name]()
+    poses = flown(name)
+    turned = steps(poses)
     # One and a half degrees is what trackers are asked to bridge; frames shaken one by one would exceed it.
     assert turned.max() < 1.55
     assert np.median(turned) > 0.3
+    # Matching bridges a tenth of a circle with ease; keyframes that hardly move would add nothing.
+    between = steps(poses[:: settings.keyframe_every])
+    assert 2 < np.median(between) < between.max() < 15
+
+
+def test_the_orbit_closes_and_the_spiral_widens() -> None:
+    orbit, spiral = (np.array([pose.centre for pose in flown(name)]) for name in ("orbit", "spiral"))
+    # The last frame of an orbit is a frame away from the first one; jitter is a few decimetres.
+    assert np.linalg.norm(orbit[0] - orbit[-1]) < 4
+    radius = np.linalg.norm(spiral[:, :2], axis=1)
+    # From tenth to tenth of the flight it widens by far more than it wavers.
+    tenths = radius[:: len(radius) // 10]
+    assert (np.diff(tenths) > 0).all()
+    assert radius[-1] > 1.5 * radius[0]
 
 
 def test_a_wavering_flight_has_the_variance_of_its_jitter() -> None:
-    settings = SpiralVideoSettings().flight
-    town = build_town(SpiralVideoSettings().town, np.random.default_rng(0))
-    still = flight_poses(
-        type(settings).from_dict({**settings.to_dict(), "position_jitter": 0.0}), town, np.random.default_rng(5)
-    )
-    moved = flight_poses(settings, town, np.random.default_rng(5))
+    flight = FLIGHTS["spiral"]().flight
+    jitter = flight.position_jitter
+    moved, still = flown("spiral"), flown("spiral", position_jitter=0.0)
     error = np.array([a.centre - b.centre for a, b in zip(moved, still, strict=True)])
-    # 96 s of a process with a correlation of about 5 s: some 20 independent values an axis, 60 in all; 4 sigma.
-    assert np.sqrt(np.mean(error**2)) == pytest.approx(0.3, rel=4 / np.sqrt(2 * 60))
-    assert np.abs(np.diff(error, axis=0)).max() < 0.1
+    # A process that forgets itself over some 5 s has as many independent values an axis as the flight has such
+    # spans, three times as many in all; 4 sigma.
+    independent = 3 * flight.frames * flight.frame_interval / 5
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(jitter, rel=4 / np.sqrt(2 * independent))
+    # From frame to frame it wavers by a part of that only.
+    assert np.abs(np.diff(error, axis=0)).max() < jitter / 3
 
 
 def test_the_scene_of_keyframes_opens_as_a_capture_with_truth_and_priors(made: Path) -> None:
@@ -109,11 +129,26 @@ def test_video_and_telemetry_hold_the_same_frames(made: Path) -> None:
     assert own < 0.5 * other
 
 
-def test_the_heading_is_off_by_three_degrees_and_positions_by_metres() -> None:
-    settings = OrbitVideoSettings()
-    assert settings.sensors.yaw_bias == 3.0
-    assert (settings.sensors.position_sigma_east, settings.sensors.position_sigma_up) == (1.5, 1.0)
-    assert SpiralVideoSettings().sensors.to_dict() == settings.sensors.to_dict()
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_the_compass_is_off_by_one_angle_and_positions_by_metres_that_average_out(name: str) -> None:
+    settings = FLIGHTS[name]()
+    poses = flown(name)
+    readings = read_sensors(
+        poses, settings.sensors, np.random.default_rng(0), interval=settings.flight.frame_interval
+    )
+    off = np.array([reading.position - pose.centre for reading, pose in zip(readings, poses, strict=True)])
+    spread, sure = off.std(axis=0), 4 / np.sqrt(len(poses))  # 4 sigma of a mean
+    assert (spread > 0.5).all()  # a drone without RTK
+    assert (spread < 3).all()
+    assert (np.abs(off.mean(axis=0)) < sure * spread).all()
+    turns = [
+        prior.rotation.T @ pose.rotation
+        for reading, pose in zip(readings, poses, strict=True)
+        if (prior := prior_of(reading)).rotation is not None
+    ]
+    yaw = np.degrees([np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]) for turn in turns])
+    assert len(yaw) == len(poses)
+    assert abs(yaw.mean()) > 3 * sure * yaw.std()  # the same way in the whole flight
 
 
 def test_a_finished_flight_is_not_made_again_and_another_one_is_not_overwritten(made: Path) -> None:

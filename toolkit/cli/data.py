@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from toolkit.cli.common import add, with_bar
+
+if TYPE_CHECKING:
+    from toolkit.settings import Settings
 
 
 def add_commands(commands: argparse._SubParsersAction, *, with_sample_flags: bool) -> None:
@@ -14,42 +18,51 @@ def add_commands(commands: argparse._SubParsersAction, *, with_sample_flags: boo
     _add_data(commands)
 
 
-def _add_sample(commands: argparse._SubParsersAction, with_flags: bool) -> None:
-    added = add(
-        commands,
-        "sample",
-        _sample,
-        "Make pictures of a scene whose truth is known.",
-        "sample town --to town/ --flight.frames 32",
-    )
-    added.add_argument(
-        "kind",
-        choices=("town", "orbit-video", "spiral-video"),
-        help="pictures of the town, or a filmed flight over it",
-    )
-    added.add_argument("--to", type=Path, required=True, metavar="FOLDER", help="new folder to write")
-    added.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
-    if with_flags:
-        from toolkit.samples.drone_flights import KeyframeStep
-        from toolkit.samples.make import SampleSettings
+#: The kinds of samples: what each is, and an example.
+_KINDS = {
+    "town": ("Pictures of a town from a flight over it.", "--flight.frames 32"),
+    "orbit-video": ("A filmed flight around the town.", "--flight.frames 180"),
+    "spiral-video": ("A filmed flight over the town that widens turn by turn.", "--flight.turns 2"),
+}
 
-        SampleSettings.add_flags(added)
-        KeyframeStep.add_flags(added)
+
+def _add_sample(commands: argparse._SubParsersAction, with_flags: bool) -> None:
+    added = commands.add_parser(
+        "sample",
+        help="Make pictures of a scene whose truth is known.",
+        description="Make pictures of a scene whose truth is known. Each kind has settings of its own: "
+        "toolkit sample KIND --help.",
+        epilog="Example: toolkit sample town --to town/",
+    )
+    kinds = added.add_subparsers(title="kinds", metavar="KIND", required=True)
+    for kind, (help, example) in _KINDS.items():
+        one = add(kinds, kind, _sample, help, f"sample {kind} --to {kind}/ {example}")
+        one.set_defaults(kind=kind)
+        one.add_argument("--to", type=Path, required=True, metavar="FOLDER", help="new folder to write")
+        one.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
+        if with_flags:
+            _settings_of(kind).add_flags(one)
+
+
+def _settings_of(kind: str) -> type[Settings]:
+    from toolkit.samples.drone_flights import FLIGHTS
+    from toolkit.samples.make import SampleSettings
+
+    return FLIGHTS.get(kind.removesuffix("-video"), SampleSettings)
 
 
 def _sample(arguments: argparse.Namespace) -> None:
-    from toolkit.samples.drone_flights import FLIGHTS, make_drone_flight
+    from toolkit.samples.drone_flights import OrbitVideoSettings, make_drone_flight
     from toolkit.samples.make import SampleSettings, make_sample
 
-    filmed = FLIGHTS.get(arguments.kind.removesuffix("-video"))
-    if filmed is not None:
-        wanted = filmed.from_flags(arguments)
-        flight = with_bar(lambda bar: make_drone_flight(arguments.to, wanted, seed=arguments.seed, progress=bar))
+    wanted = _settings_of(arguments.kind).from_flags(arguments)
+    if isinstance(wanted, OrbitVideoSettings):
+        filming = wanted
+        flight = with_bar(lambda bar: make_drone_flight(arguments.to, filming, seed=arguments.seed, progress=bar))
         print(f"{len(flight.numbers)} keyframes, {flight.video.name} and the truth written to {arguments.to}")
         return
-
-    settings = SampleSettings.from_flags(arguments)
-    with_bar(lambda bar: make_sample(arguments.to, settings, seed=arguments.seed, progress=bar))
+    assert isinstance(wanted, SampleSettings)
+    with_bar(lambda bar: make_sample(arguments.to, wanted, seed=arguments.seed, progress=bar))
     print(f"Sample written to {arguments.to}")
 
 

@@ -53,6 +53,13 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     )
     added.add_argument("--train-steps", type=int, metavar="N", help="steps of every training [each recipe's own]")
     added.add_argument("--max-side", type=int, metavar="N", help="pixels of the longer side [each recipe's own]")
+    added.add_argument(
+        "--fit-steps",
+        type=int,
+        default=100,
+        metavar="N",
+        help="steps that fit each test photo's pose to the splat, for a column of its own; 0: leave it out [100]",
+    )
     added.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
     added.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to compute [cpu]")
     added.add_argument("--force", action="store_true", help="make finished runs again")
@@ -66,7 +73,11 @@ def _table(arguments: argparse.Namespace) -> None:
     from toolkit.runs.paper_text import table_markdown, write_table
 
     rows = _rows(arguments.rows)
-    wishes = {"train.steps": arguments.train_steps, "train.max_side": arguments.max_side}
+    wishes = {
+        "train.steps": arguments.train_steps,
+        "train.max_side": arguments.max_side,
+        "train.refine_test_steps": arguments.fit_steps,
+    }
     changes: dict[str, Any] = {name: value for name, value in wishes.items() if value is not None}
     options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
     given = None if arguments.data is None else _named(arguments.data)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
 from toolkit.matching.database import require_same_frames
+from toolkit.poses.sensor_heading import find_heading, with_heading_taken
 from toolkit.poses.sensor_turns import BASELINE_SIGMAS, QUARTERS, RelativePose, angle_between, find_quarters
 from toolkit.poses.sensors import some, turned
 from toolkit.progress import Progress, silent, track
@@ -27,6 +28,9 @@ _PAIRS_A_FRAME = 10
 # Rotations and directions that disagree by more (in degrees) are worth a word, whatever the accuracy told.
 _ODD_ROTATION, _ODD_DIRECTION = 12.0, 45.0
 _ODD_SIGMAS = 5.0
+# Directions that disagree by more in the middle of all pairs may come from a heading that is wrong in all photos,
+# if taking it out brings them to this share.
+_ODD_IN_ALL, _EXPLAINED = 10.0, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +66,9 @@ class PixelCheck:
     turns:
         By frame name, degrees by which its picture is turned clockwise against its gimbal: 90, 180 or 270.
         Pictures that are not turned are left out.
+    heading:
+        Degrees by which the attitudes of all frames are turned clockwise, seen from above; 0 where it is not tens
+        of degrees, as of a compass that was not calibrated or of flight yaw in place of gimbal yaw.
     anchored:
         Whether positions told turned pictures from upright ones; else the larger group counts as upright.
     pairs:
@@ -75,6 +82,7 @@ class PixelCheck:
     """
 
     turns: Mapping[str, float]
+    heading: float
     anchored: bool
     pairs: tuple[PairCheck, ...]
     frame_rotation: Mapping[str, float]
@@ -113,18 +121,51 @@ def check_pixels(scene: Scene, database_path: Path, *, progress: Progress = sile
     pairs = _relative_poses(scene, database_path, progress)
     poses = [frame.cam_from_world for frame in scene.frames]
     sigmas = _sigmas(scene)
+    found = _compare(pairs, poses, sigmas, names)
+    heading = 0.0
+    if found.disagreement > _ODD_IN_ALL:
+        wrong = find_heading(pairs, poses, sigmas)
+        if wrong is not None:
+            better = [None if pose is None else with_heading_taken(pose, wrong) for pose in poses]
+            again = _compare(pairs, better, sigmas, names)
+            if again.disagreement < _EXPLAINED * found.disagreement:
+                found, heading = again, wrong
+    turns = {names[i]: QUARTERS[quarter] for i, quarter in found.quarters.items() if quarter}
+    rotation = _by_frame(found.checks, lambda check: check.rotation)
+    direction = _by_frame(found.checks, lambda check: check.direction)
+    reached = {i for pair in pairs for i in (pair.first, pair.second)}
+    odd = _contradicted(scene, rotation, direction)
+    warnings = (
+        *_heading_warning(heading),
+        *_turn_warnings(scene, turns, found.anchored),
+        *_odd_warnings(scene, odd, rotation, direction, reached),
+    )
+    return PixelCheck(turns, heading, found.anchored, found.checks, rotation, direction, odd, warnings)
+
+
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """Pairs against poses: quarter turns of frames, whether positions told them, and what is left."""
+
+    quarters: Mapping[int, int]
+    anchored: bool
+    checks: tuple[PairCheck, ...]
+
+    @property
+    def disagreement(self) -> float:
+        """Median angle between directions, in degrees; 0 where there are none."""
+        angles = [check.direction for check in self.checks if check.direction is not None]
+        return float(np.median(angles)) if angles else 0.0
+
+
+def _compare(
+    pairs: Sequence[RelativePose], poses: Sequence[RigidTransform | None], sigmas: Array, names: Sequence[str]
+) -> _Comparison:
     quarters, anchored = find_quarters(pairs, poses, sigmas)
-    turns = {names[i]: QUARTERS[quarter] for i, quarter in quarters.items() if quarter}
     upright = [
         None if pose is None else _turned_pose(pose, QUARTERS[quarters.get(i, 0)]) for i, pose in enumerate(poses)
     ]
-    checks = tuple(_check(pair, upright, names, sigmas) for pair in pairs)
-    rotation = _by_frame(checks, lambda check: check.rotation)
-    direction = _by_frame(checks, lambda check: check.direction)
-    reached = {i for pair in pairs for i in (pair.first, pair.second)}
-    odd = _contradicted(scene, rotation, direction)
-    warnings = (*_turn_warnings(scene, turns, anchored), *_odd_warnings(scene, odd, rotation, direction, reached))
-    return PixelCheck(turns, anchored, checks, rotation, direction, odd, warnings)
+    return _Comparison(quarters, anchored, tuple(_check(pair, upright, names, sigmas) for pair in pairs))
 
 
 def _relative_poses(scene: Scene, database_path: Path, progress: Progress) -> list[RelativePose]:
@@ -214,6 +255,15 @@ def _contradicted(scene: Scene, rotation: Mapping[str, float], direction: Mappin
     return {name: "gimbal angles" for name, angle in rotation.items() if angle > limit} | {
         name: "position" for name, angle in direction.items() if angle > _ODD_DIRECTION
     }
+
+
+def _heading_warning(heading: float) -> list[str]:
+    if heading == 0:
+        return []
+    return [
+        f"the heading of all photos is wrong by {heading:.0f} degrees: a compass that was not calibrated, or the "
+        "yaw of the drone in place of the camera's"
+    ]
 
 
 def _turn_warnings(scene: Scene, turns: Mapping[str, float], anchored: bool) -> list[str]:

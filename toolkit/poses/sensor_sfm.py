@@ -26,6 +26,7 @@ from toolkit.matching.database import copy_database, require_same_frames
 from toolkit.poses.adjust import AdjustmentReport
 from toolkit.poses.resection import Resection
 from toolkit.poses.sensor_biases import SensorBiases, estimate_biases
+from toolkit.poses.sensor_heading import with_heading_taken
 from toolkit.poses.sensor_pixels import PixelCheck, check_pixels
 from toolkit.poses.sensor_refine import Refinement, SensorSfmSettings
 from toolkit.poses.sensors import SensorPoses, sensor_poses, some
@@ -157,12 +158,14 @@ def sensor_sfm(
         if settings.correct_turns and pixels.turns:
             turned = sensor_poses(scene, settings, turns=pixels.turns)
             sensors = dataclasses.replace(turned, warnings=sensors.warnings)
+        sensors = dataclasses.replace(sensors, scene=_with_heading_taken(sensors.scene, pixels.heading))
         checked = time.perf_counter()
         contradicted = pixels.contradicted if settings.distrust else {}
         started = _with_start_cameras(sensors.scene, copy)
         trusted = with_one_focal(started, copy) if settings.square_pixels else started
         trusted = _without_readings(trusted, contradicted)
         trusted = _without_guesses(trusted, sensors.from_flight_line)
+        _require_two(trusted, contradicted, pixels)
         turns = pixels.turns if settings.correct_turns else {}
         job = Refinement(trusted, copy, settings, seed, turns)
         model = run_colmap(job.run, job.event, progress, copy)
@@ -214,6 +217,29 @@ def _with_start_cameras(scene: Scene, database_path: Path) -> Scene:
     with closing(pycolmap.Database.open(database_path)) as database:
         cameras = {int(c.camera_id): ColmapCamera.from_pycolmap(c) for c in database.read_all_cameras()}
     return scene.replace(cameras={**scene.cameras, **cameras})
+
+
+def _with_heading_taken(scene: Scene, degrees: float) -> Scene:
+    """Return the scene with poses turned about the vertical; the readings stay as they came."""
+    frames = (
+        frame
+        if frame.cam_from_world is None
+        else dataclasses.replace(frame, cam_from_world=with_heading_taken(frame.cam_from_world, degrees))
+        for frame in scene.frames
+    )
+    return scene.replace(frames=tuple(frames))
+
+
+def _require_two(scene: Scene, contradicted: Mapping[str, str], pixels: PixelCheck) -> None:
+    if len(scene.registered) >= 2:
+        return
+    said = "; ".join((*pixels.warnings, *(f"{name}: its {what}" for name, what in list(contradicted.items())[:3])))
+    raise StageError(
+        "The pictures contradict the readings of nearly all photos",
+        expected="at least 2 photos whose position and attitude agree with their matches",
+        found=f"{len(scene.registered)}; {said}",
+        todo="Check times, positions and angles, set distrust to no to use them as they are, or use colmap-3dgs",
+    )
 
 
 def _without_readings(scene: Scene, names: Iterable[str], *, keep_pose: bool = False) -> Scene:

@@ -17,6 +17,7 @@ from toolkit.runs.paper_rows import PaperRow
 from toolkit.scene.dataset import capture_fingerprint, open_capture
 from toolkit.settings import Settings
 
+_Identity = tuple[str, dict[str, Any], int, str, str]
 Outcome = Literal["finished", "failed", "not applicable", "weights missing", "not there"]
 
 #: What a method may raise where data or machine are too much for it. Errors of programming (TypeError,
@@ -115,18 +116,24 @@ def make_attempts(
         Where a data folder cannot be opened.
     """
     opened = [_open(name, folder, progress) for name, folder in data.items()]
+    identities = _Identities()
     attempts: list[Attempt] = []
     total = len(rows) * len(data)
     for each in opened:
         for row in rows:
             progress(ProgressEvent("table", len(attempts), total, f"{row.title}, {each.name}"))
-            attempts.append(_attempt(row, each, recipes.get(row.recipe), options, progress))
+            attempts.append(_attempt(row, each, recipes.get(row.recipe), options, identities, progress))
     progress(ProgressEvent("table", total, total))
     return attempts
 
 
 def _attempt(
-    row: PaperRow, data: _Data, recipe: Recipe | None, options: TableOptions, progress: Progress
+    row: PaperRow,
+    data: _Data,
+    recipe: Recipe | None,
+    options: TableOptions,
+    identities: _Identities,
+    progress: Progress,
 ) -> Attempt:
     name = data.name
     if recipe is None:
@@ -137,7 +144,7 @@ def _attempt(
     run: RunFolder | None = None
     try:
         settings = row_settings(row, recipe, options)
-        run, work = _work(row, recipe, settings, data, options, progress)
+        run, work = _work(row, recipe, settings, data, options, identities, progress)
         if work is not None:
             work(run, progress, recipe=recipe)
     except Cancelled:
@@ -197,12 +204,18 @@ def _open(name: str, folder: Path, progress: Progress) -> _Data:
 
 
 def _work(
-    row: PaperRow, recipe: Recipe, settings: Settings, data: _Data, options: TableOptions, progress: Progress
+    row: PaperRow,
+    recipe: Recipe,
+    settings: Settings,
+    data: _Data,
+    options: TableOptions,
+    identities: _Identities,
+    progress: Progress,
 ) -> tuple[RunFolder, Callable[..., RecipeResult] | None]:
     """Return a run and what is left to do with it: nothing for a finished one."""
     if not options.force:
         wanted = (recipe.name, settings.to_dict(), options.seed, options.device, data.fingerprint)
-        same = [run for run in run_folders(options.runs_dir) if _identity(run) == wanted]
+        same = [run for run in run_folders(options.runs_dir) if identities.of(run) == wanted]
         by_state = {_state(run): run for run in same}  # of several the newest
         if "finished" in by_state:
             return by_state["finished"], None
@@ -222,13 +235,23 @@ def _work(
     return made, execute
 
 
-def _identity(run: RunFolder) -> tuple[str, dict[str, Any], int, str, str] | None:
-    """Return what makes two runs the same, None for a damaged one."""
-    try:
-        record = run.record()
-    except DataError:
-        return None
-    return record.recipe, record.settings, record.seed, record.device, record.data_fingerprint
+class _Identities:
+    """What makes two runs the same. Each record is read once: it never changes, and a table asks at every cell."""
+
+    def __init__(self) -> None:
+        self._known: dict[RunFolder, _Identity | None] = {}
+
+    def of(self, run: RunFolder) -> _Identity | None:
+        """Return recipe, settings, seed, device and data of a run, None for a damaged one."""
+        if run not in self._known:
+            try:
+                record = run.record()
+            except DataError:
+                self._known[run] = None
+            else:
+                data = record.data_fingerprint
+                self._known[run] = record.recipe, record.settings, record.seed, record.device, data
+        return self._known[run]
 
 
 def _state(run: RunFolder) -> str:

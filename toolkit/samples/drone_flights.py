@@ -61,20 +61,15 @@ def _consumer_sensors() -> SensorSettings:
     )
 
 
-class KeyframeStep(Settings):
-    """Which frames of a filmed flight become pictures of its scene."""
-
-    keyframe_every = Integer(
-        6, bounds=(1, 1000), unit="frames", doc="Filmed flights: every how many frames one is a keyframe."
-    )
-
-
-class OrbitVideoSettings(KeyframeStep):
+class OrbitVideoSettings(Settings):
     """Once around the town: 360 frames a degree apart, 60 of them keyframes."""
 
     town = Group(TownSettings())
     flight = Group(_filmed("orbit", 360))
     sensors = Group(_consumer_sensors())
+    keyframe_every = Integer(
+        6, bounds=(1, 1000), unit="frames", doc="Every how many frames one is a keyframe, a picture of the scene."
+    )
 
 
 class SpiralVideoSettings(OrbitVideoSettings):
@@ -82,7 +77,7 @@ class SpiralVideoSettings(OrbitVideoSettings):
 
     flight = Group(_filmed("spiral", 960, turns=1.5))
     keyframe_every = Integer(
-        8, bounds=(1, 1000), unit="frames", doc="Filmed flights: every how many frames one is a keyframe."
+        8, bounds=(1, 1000), unit="frames", doc="Every how many frames one is a keyframe, a picture of the scene."
     )
 
 
