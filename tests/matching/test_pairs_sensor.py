@@ -54,8 +54,30 @@ def test_of_cameras_at_one_place_those_that_look_alike_are_paired() -> None:
 def test_without_attitudes_it_is_position_alone() -> None:
     places = np.random.default_rng(0).normal(size=(20, 3))
     scene = scene_of([PosePrior(place) for place in places])
-    found = choose_pairs(scene, PairSettings(method="sensor", neighbours=4, in_order=0))
+    found = choose_pairs(scene, PairSettings(method="sensor", neighbours=4, in_order=0, reach=1))
     np.testing.assert_array_equal(found.index, spatial_pairs(places, 4))
+
+
+def test_half_of_the_neighbours_are_the_nearest_and_the_others_lie_ever_farther_apart() -> None:
+    places = np.stack([np.arange(60.0) ** 1.001, np.zeros(60), np.zeros(60)], axis=1)  # no two distances alike
+    nowhere = np.full((60, 3), np.nan)
+    pairs = view_pairs(places, nowhere, 8, None, math.pi, reach=2.5)
+    own = {tuple(pair) for pair in pairs.tolist()} - {tuple(pair) for pair in pairs[pairs[:, 0] > 0].tolist()}
+    # The first frame has the others on one side only; 4 * 5 ** (1/4), (2/4), (3/4) and 20 are the ranks after 4.
+    assert {(0, rank) for rank in (1, 2, 3, 4, 6, 9, 13, 20)} <= own
+    # From the middle there are frames on both sides, so the twentieth is ten away, and nobody else is farther.
+    assert np.abs(pairs[(pairs == 30).any(axis=1)] - 30).max() == 10
+    nearest = view_pairs(places, nowhere, 8, None, math.pi)
+    assert np.abs(nearest[(nearest == 30).any(axis=1)] - 30).max() == 4
+
+
+def test_of_few_frames_all_are_paired_and_none_twice() -> None:
+    places = np.random.default_rng(0).normal(size=(7, 3))
+    for neighbours in (5, 6, 20):
+        pairs = view_pairs(places, np.full((7, 3), np.nan), neighbours, None, math.pi, reach=2.5)
+        counts = np.bincount(pairs.ravel(), minlength=7)
+        assert (counts >= min(neighbours, 6)).all()
+        assert len(np.unique(pairs, axis=0)) == len(pairs)
 
 
 def test_frames_that_follow_each_other_are_paired_whatever_their_readings() -> None:

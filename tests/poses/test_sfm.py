@@ -146,7 +146,7 @@ def refine(model: pycolmap.Reconstruction, **changes: bool) -> object:
 
 @pytest.mark.parametrize("distortion", [True, False])
 def test_the_last_adjustment_finds_the_principal_point(tmp_path: Path, distortion: bool) -> None:
-    truth, _ = synthetic_matches(tmp_path, frames=10, points=400)
+    truth, _ = synthetic_matches(tmp_path, frames=10, points=400, noise=0.1)
     model = shifted(truth, 6.0)
     fixed = refine(model, refine_distortion=distortion, refine_principal_point=False)
     assert fixed.principal_point == "fixed"
@@ -155,7 +155,7 @@ def test_the_last_adjustment_finds_the_principal_point(tmp_path: Path, distortio
     assert report.principal_point == "refined"
     (camera,) = model.cameras.values()
     # Three standard deviations as reported; without the adjustment it would be off by 6 px.
-    assert report.principal_point_sigma < 1.0
+    assert report.principal_point_sigma < 0.0002 * 1024
     assert abs(camera.params[1] - 512) < 3 * report.principal_point_sigma
     assert abs(camera.params[2] - 384) < 3 * report.principal_point_sigma
 

@@ -15,14 +15,14 @@ from tiny_training import same, settings, stop_after
 
 from toolkit.errors import Cancelled, NumericalError, StageError
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.scene import PosePrior, Scene
+from toolkit.scene import Points, PosePrior, Scene
 from toolkit.splat.gaussian_costs import anisotropy_excess, mean_opacity
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import load_photo
 from toolkit.splat.initialise import gaussians_from_points
 from toolkit.splat.lie import exp_se3
 from toolkit.splat.loss import photometric_loss_reference
-from toolkit.splat.pose_refine import PoseRefinement, PoseTargets, pose_change, xi_rates
+from toolkit.splat.pose_refine import PoseRefinement, PoseTargets, pivot_depths, pose_change, within_reach, xi_rates
 from toolkit.splat.rasterize import RasterSettings, Views, rasterize
 from toolkit.splat.train import TrainResult, train_splats
 from toolkit.splat.train_settings import Schedule, TrainSettings, camera_rate
@@ -76,8 +76,13 @@ def test_poses_rest_during_the_warm_up_and_move_after_it(scene: Scene, plain: Tr
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"pose_prior_weight": 0.1, "max_anisotropy": 2.0, "opacity_cost": 0.01}, {"kind": "2d"}],
-    ids=["plain", "costs", "2d"],
+    [
+        {},
+        {"pose_prior_weight": 0.1, "max_anisotropy": 2.0, "opacity_cost": 0.01},
+        {"kind": "2d"},
+        {"pose_pivot": True, "pose_ramp": 6, "pose_prior_weight": 0.1, "pose_prior_reach": 1.0},
+    ],
+    ids=["plain", "costs", "2d", "pivot"],
 )
 def test_a_resumed_run_equals_the_uninterrupted_one_to_the_bit(
     scene: Scene, tmp_path: Path, changes: dict[str, float]
@@ -132,6 +137,69 @@ def test_a_step_is_folded_into_the_pose_in_the_cameras_own_frame(scene: Scene) -
     poses.step(0, torch.tensor([0.0, 0.0, 2.0, 0.0, 0.0, 0.0], dtype=torch.float64), rates, 1)
     # Points come nearer by the rate times the extent: the camera goes forward.
     assert np.allclose(poses.transforms()[0].translation, start.translation - [0, 0, 0.05], atol=1e-12)
+
+
+def test_with_a_pivot_rotation_leaves_the_point_in_the_middle_where_it_is(scene: Scene) -> None:
+    start, depth = start_pose(scene), 4.0
+    middle = start.inverse().apply(np.array([[0.0, 0.0, depth]]))
+    rates = xi_rates(0.01, extent=5.0)
+    poses = PoseRefinement.start([start], [depth])
+    poses.step(0, torch.tensor([0.0, 0.0, 0.0, 0.0, -3.0, 0.0], dtype=torch.float64), rates, 1)
+    end = poses.transforms()[0]
+    moved, turned = pose_change(start, end)
+    assert turned == pytest.approx(math.degrees(0.01), rel=1e-9)
+    assert moved == pytest.approx(0.04, rel=1e-4)  # an arc of 0.01 radians, up to third order
+    assert end.apply(middle) == pytest.approx(np.array([[0.0, 0.0, depth]]), abs=1e-12)
+
+
+def test_with_a_pivot_what_shifts_the_picture_does_not_turn_the_camera() -> None:
+    # The identity, for Adam makes a step of rounding: only a gradient of exactly zero gives none.
+    start, depth = RigidTransform.identity(), 4.0
+    middle = torch.tensor([0.0, 0.0, depth, 1.0], dtype=torch.float64)
+    turns = []
+    for poses in (PoseRefinement.start([start]), PoseRefinement.start([start], [depth])):
+        xi, pose = poses.of_photo(0)
+        (pose @ middle)[0].backward()
+        assert xi.grad is not None
+        poses.step(0, xi.grad, xi_rates(0.01, extent=5.0), 1)
+        turns.append(pose_change(start, poses.transforms()[0])[1])
+    # About its own centre a camera turns as far as its rate lets it, to the side that the picture shifts.
+    assert turns[0] == pytest.approx(math.degrees(0.01), rel=1e-4)
+    assert turns[1] == 0
+
+
+def test_rates_rise_over_the_first_steps_of_each_pose(scene: Scene) -> None:
+    start = start_pose(scene)
+    poses, rates = PoseRefinement.start([start, start]), xi_rates(0.01, extent=5.0)
+    gradient = torch.tensor([0.0, 0.0, 0.0, 2.0, 0.0, 0.0], dtype=torch.float64)
+    turns = []
+    for step in range(1, 5):
+        poses.step(1, gradient, rates, step, ramp=4)
+        turns.append(pose_change(start, poses.transforms()[1])[1])
+    # The same gradient each time: Adam moves by the rate each time.
+    assert np.diff([0.0, *turns]) == pytest.approx(math.degrees(0.01) * np.array([1, 2, 3, 4]) / 4, rel=1e-6)
+    poses.step(0, gradient, rates, 5, ramp=4)
+    assert pose_change(start, poses.transforms()[0])[1] == pytest.approx(math.degrees(0.0025), rel=1e-6)
+
+
+def test_pivots_lie_at_the_median_depth_of_the_points_before_a_camera() -> None:
+    ahead, behind = RigidTransform.identity(), RigidTransform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    xyz = np.array([[0, 0, 2.0], [1, 0, 3], [0, 5, 8], [0, 0, -4]])
+    points = Points(xyz, np.zeros((4, 3), np.uint8))
+    assert pivot_depths([ahead, behind], points) == [3.0, 4.0]
+    assert pivot_depths([ahead, behind], None) == [0.0, 0.0]
+    assert pivot_depths([behind], Points(xyz[:3], np.zeros((3, 3), np.uint8))) == [0.0]
+
+
+def test_a_pull_with_a_reach_holds_what_is_near_and_lets_go_what_is_far() -> None:
+    deviation = torch.tensor([0.01, 1.0, 100.0], dtype=torch.float64, requires_grad=True)
+    cost = within_reach(deviation.square(), 2.0)
+    assert cost.tolist() == pytest.approx([1e-4, 0.8, 4.0], rel=1e-3)
+    cost.sum().backward()
+    assert deviation.grad is not None
+    # d/du of u^2 / (1 + u^2 / c^2) is 2 u / (1 + u^2 / c^2)^2.
+    assert deviation.grad.tolist() == pytest.approx([0.02, 2 / 1.25**2, 200 / 2501**2], rel=1e-4)
+    assert torch.equal(within_reach(deviation, 0.0), deviation)
 
 
 def test_a_gradient_that_is_not_finite_is_named() -> None:

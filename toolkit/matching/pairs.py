@@ -41,8 +41,14 @@ class PairSettings(Settings):
         8,
         bounds=(1, 1000),
         unit="frames",
-        doc="Spatial and sensor: how many nearest frames each frame is matched with; one without position is "
+        doc="Spatial and sensor: how many near frames each frame is matched with; one without position is "
         "matched with as many before and after it.",
+    )
+    reach = Number(
+        2.5,
+        bounds=(1.0, 100.0),
+        doc="Sensor: half of the neighbours are the nearest ones, the others lie ever farther apart up to this "
+        "many times their number, since chains of nearest neighbours bend; 1: the nearest only.",
     )
     max_distance = Number(
         0.0,
@@ -178,9 +184,14 @@ def spatial_pairs(positions: ArrayLike, neighbours: int, max_distance: float | N
 
 
 def view_pairs(
-    positions: ArrayLike, views: ArrayLike, neighbours: int, max_distance: float | None, max_angle: float
+    positions: ArrayLike,
+    views: ArrayLike,
+    neighbours: int,
+    max_distance: float | None,
+    max_angle: float,
+    reach: float = 1.0,
 ) -> Pairs:
-    """Return pairs (P, 2) of each frame with the ``neighbours`` nearest to it in position and view.
+    """Return pairs (P, 2) of each frame with ``neighbours`` that are near to it in position and view.
 
     Distances count in units of the median distance to the farthest wanted neighbour by position alone, which grows
     with the height of a flight as its overlap does; angles between optical axes in units of half the largest one.
@@ -192,11 +203,14 @@ def view_pairs(
     views:
         (n, 3) unit vectors along the optical axes; NaN where not known: such frames are compared by position alone.
     neighbours:
-        How many nearest others each frame is paired with.
+        How many others each frame is paired with.
     max_distance:
         Frames farther apart, in metres, are not paired; None: no limit.
     max_angle:
         Frames whose axes differ by more, in radians, are not paired.
+    reach:
+        The nearer half of the neighbours are the nearest ones; the others are farther and farther, up to the one of
+        rank ``reach * neighbours``.
 
     Raises
     ------
@@ -224,10 +238,22 @@ def view_pairs(
         if max_distance is not None:
             allowed &= distance <= max_distance
         allowed[i] = False
-        nearest = np.argsort(np.where(allowed, cost, np.inf), kind="stable")[:wanted]
-        nearest = nearest[allowed[nearest]]
+        nearest = np.argsort(np.where(allowed, cost, np.inf), kind="stable")[: allowed.sum()]
+        nearest = nearest[_ranks(wanted, reach, len(nearest))]
         found.append(np.stack([np.full(len(nearest), i), nearest], axis=1))
     return _unique(np.concatenate(found))
+
+
+def _ranks(wanted: int, reach: float, count: int) -> NDArray[np.int64]:
+    """Return which of ``count`` frames, the nearest first, are paired: ``wanted``, or all where there are fewer."""
+    consecutive = (wanted + 1) // 2
+    far = np.geomspace(consecutive, reach * wanted, wanted - consecutive + 1)[1:]
+    ranks = np.arange(wanted)
+    # Counted from 1 to here; where rounding lets two meet, the second moves on.
+    for i, rank in enumerate(far, start=consecutive):
+        ranks[i] = max(round(rank) - 1, ranks[i - 1] + 1)
+    # Fewer frames than that: the farthest ones.
+    return np.minimum(ranks, count - wanted + np.arange(wanted)) if count > wanted else np.arange(count)
 
 
 def choose_pairs(scene: Scene, settings: PairSettings) -> ChosenPairs:
@@ -298,7 +324,12 @@ def _spatial(scene: Scene, settings: PairSettings) -> Pairs:
     else:
         views = np.array([_view(priors[i]) for i in positions])
         near = view_pairs(
-            list(positions.values()), views, settings.neighbours, limit, np.radians(settings.max_view_angle)
+            list(positions.values()),
+            views,
+            settings.neighbours,
+            limit,
+            np.radians(settings.max_view_angle),
+            settings.reach,
         )
     in_order = sequential_pairs(len(scene), settings.neighbours)
     return _unique(np.concatenate([placed[near], in_order[np.isin(in_order, missing).any(axis=1)]]))

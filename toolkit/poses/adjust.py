@@ -13,13 +13,13 @@ SIMPLE_RADIAL.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 import pycolmap
-from numpy.typing import NDArray
 
 from toolkit.scene import Scene
 
@@ -27,12 +27,14 @@ from toolkit.scene import Scene
 _LOSS_SCALE = 2.0
 #: The same of measured positions: three coordinates, of which 95 % have a norm below this.
 _PRIOR_LOSS_SCALE = 2.8
-#: Largest standard deviation, as a part of the longer side, of a principal point that counts as determined.
-_DETERMINED = 0.001
+#: Largest standard deviation, as a part of the longer side, of a principal point that counts as determined. It is
+#: that of independent residuals; on filmed flights the true error was four times as large, and turned all cameras.
+_DETERMINED = 0.0002
 # The cost changes by less than this part in the last step: poses move by far less than their standard deviation.
 _TOLERANCE = 1e-6
-# Where another round follows.
-_COARSE_TOLERANCE = 1e-4
+# The same where measured positions hold the whole, for these hold it loosely: steps after it moved poses of filmed
+# flights by less than a millimetre and a thousandth of a degree, and took half the time.
+_TOLERANCE_OF_POSITIONS = 1e-5
 _STEPS = 200
 
 #: Largest relative standard deviation of a focal length that counts as determined.
@@ -88,7 +90,6 @@ def adjust(
     refine_principal_point: bool,
     max_error: float,
     min_angle: float,
-    coarse: bool = False,
     threads: int = 0,
     check_cancelled: Callable[[], None] = lambda: None,
     priors: Sequence[pycolmap.PosePrior] = (),
@@ -102,12 +103,10 @@ def adjust(
     refine_focal, refine_distortion:
         Whether focal lengths and distortion are among the unknowns.
     refine_principal_point:
-        Whether principal points are, too, provided that all cameras' are determined to 0.1 % of the longer side.
+        Whether principal points are, too, provided that all cameras' are determined to 0.02 % of the longer side.
     max_error, min_angle:
         Observations with a larger error in pixels afterwards, and points seen under a smaller angle in degrees,
         are removed.
-    coarse:
-        Whether another adjustment follows and this one may stop earlier.
     threads:
         Of the solver; 0: as many as there are cores.
     check_cancelled:
@@ -123,20 +122,11 @@ def adjust(
         refine_focal_length=refine_focal, refine_extra_params=refine_distortion, print_summary=False
     )
     options.ceres.solver_options.num_threads = threads or -1
-    options.ceres.solver_options.function_tolerance = _COARSE_TOLERANCE if coarse else _TOLERANCE
+    options.ceres.solver_options.function_tolerance = _TOLERANCE_OF_POSITIONS if priors else _TOLERANCE
     options.ceres.solver_options.max_num_iterations = _STEPS
-    focal, focal_sigma = _focal(reconstruction, options, noise, priors)
-    options.refine_focal_length = focal == "refined"
-    # The lens cannot be told from the shape of the ground where not even its focal length can.
-    options.refine_extra_params &= focal != "not determined"
-    sigma: float | None = None
-    outcome: Outcome = "fixed"
-    if refine_principal_point and focal != "not determined":
-        options.refine_principal_point = True
-        sigma = _sigma(reconstruction, options, noise, priors, "principal point")
-        longest = min(max(camera.width, camera.height) for camera in _used_cameras(reconstruction))
-        outcome = "refined" if sigma is not None and sigma <= _DETERMINED * longest else "not determined"
-        options.refine_principal_point = outcome == "refined"
+    focal, focal_sigma, point, point_sigma = _unknowns(
+        reconstruction, options, noise, priors, refine_principal_point=refine_principal_point
+    )
     check_cancelled()
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     # A model without noise still needs a positive scale.
@@ -148,8 +138,8 @@ def adjust(
     reconstruction.update_point_3d_errors()
     return AdjustmentReport(
         noise,
-        outcome,
-        sigma,
+        point,
+        point_sigma,
         focal,
         focal_sigma,
         summary.ceres_summary.num_successful_steps,
@@ -195,7 +185,7 @@ def focal_sigma(
         refine_principal_point=refine_principal_point,
         print_summary=False,
     )
-    return _sigma(reconstruction, options, residual_noise(reconstruction), (), "focal length")
+    return _sigmas(reconstruction, options, residual_noise(reconstruction), ())[0]
 
 
 def residual_noise(reconstruction: pycolmap.Reconstruction) -> float:
@@ -252,50 +242,75 @@ def _used_cameras(reconstruction: pycolmap.Reconstruction) -> Iterable[pycolmap.
     return [reconstruction.camera(number) for number in sorted(numbers)]
 
 
-def _focal(
+def _unknowns(
     reconstruction: pycolmap.Reconstruction,
     options: pycolmap.BundleAdjustmentOptions,
     noise: float,
     priors: Sequence[pycolmap.PosePrior],
-) -> tuple[Outcome, float | None]:
-    """Return whether focal lengths are to be refined, and their relative standard deviation where that decided."""
-    if not options.refine_focal_length:
-        return "fixed", None
-    if not priors:
-        return "refined", None
-    sigma = _sigma(reconstruction, options, noise, priors, "focal length")
-    return "refined" if sigma is not None and sigma <= _FOCAL_DETERMINED else "not determined", sigma
+    *,
+    refine_principal_point: bool,
+) -> tuple[Outcome, float | None, Outcome, float | None]:
+    """Set in ``options`` what of the cameras is refined.
+
+    Returns what becomes of focal lengths and of principal points, and how well each is determined (None where that
+    was not looked into).
+    """
+    look = options.refine_focal_length and bool(priors)
+    focal: Outcome = "refined" if options.refine_focal_length else "fixed"
+    if not look and not refine_principal_point:
+        return focal, None, "fixed", None
+    options.refine_principal_point = refine_principal_point
+    focal_sigma, point_sigma = _sigmas(reconstruction, options, noise, priors)
+    if look:
+        if refine_principal_point and not _within(focal_sigma, _FOCAL_DETERMINED):
+            # It may be the principal point that leaves it open.
+            options.refine_principal_point = False
+            focal_sigma, _ = _sigmas(reconstruction, options, noise, priors)
+        if not _within(focal_sigma, _FOCAL_DETERMINED):
+            # The lens cannot be told from the shape of the ground where not even its focal length can.
+            options.refine_focal_length = options.refine_extra_params = options.refine_principal_point = False
+            return "not determined", focal_sigma, "fixed", None
+    told = focal_sigma if look else None
+    if not refine_principal_point:
+        return focal, told, "fixed", None
+    longest = min(max(camera.width, camera.height) for camera in _used_cameras(reconstruction))
+    options.refine_principal_point &= _within(point_sigma, _DETERMINED * longest)
+    return focal, told, "refined" if options.refine_principal_point else "not determined", point_sigma
 
 
-def _sigma(
+def _within(sigma: float | None, limit: float) -> bool:
+    return sigma is not None and sigma <= limit
+
+
+def _sigmas(
     reconstruction: pycolmap.Reconstruction,
     options: pycolmap.BundleAdjustmentOptions,
     noise: float,
     priors: Sequence[pycolmap.PosePrior],
-    of: Literal["principal point", "focal length"],
-) -> float | None:
-    """Return the largest standard deviation, of a principal point in pixels, of a focal length as part of itself.
+) -> tuple[float | None, float | None]:
+    """Return the largest standard deviations: of a focal length as part of itself, of a principal point in pixels.
 
-    ``options`` must have it among the unknowns. The covariance is that of independent residuals with standard
-    deviation ``noise``, at the solution that is there; None where there is none.
+    The covariance is that of independent residuals with standard deviation ``noise``, at the solution that is
+    there; None where there is none, and for what is not among the unknowns in ``options``.
     """
     adjuster = _adjuster(reconstruction, options, noise, priors)
     covariance = pycolmap.estimate_ba_covariance(pycolmap.BACovarianceOptions(), reconstruction, adjuster)
     if covariance is None:
-        return None
-    worst = 0.0
+        return None, None
+    focal, point = 0.0, 0.0
     for camera in _used_cameras(reconstruction):
         of_camera = covariance.get_other_params_cov(camera.params)
         if of_camera is None:
-            return None
-        wanted = list(camera.principal_point_idxs() if of == "principal point" else camera.focal_length_idxs())
-        free = list(camera.principal_point_idxs()) if options.refine_principal_point else []
-        free += list(camera.focal_length_idxs()) if options.refine_focal_length else []
-        free += list(camera.extra_params_idxs()) if options.refine_extra_params else []
-        rows = np.searchsorted(sorted(free), wanted)
-        variances: NDArray[np.float64] = np.diagonal(np.asarray(of_camera))[rows]
-        if not np.all(np.isfinite(variances)) or np.any(variances < 0):
-            return None
-        scale = 1.0 if of == "principal point" else float(np.min(np.asarray(camera.params)[wanted]))
-        worst = max(worst, noise * float(np.sqrt(variances.max())) / scale)
-    return worst
+            return None, None
+        focals, points = list(camera.focal_length_idxs()), list(camera.principal_point_idxs())
+        free = focals if options.refine_focal_length else []
+        free = free + (points if options.refine_principal_point else [])
+        free = free + (list(camera.extra_params_idxs()) if options.refine_extra_params else [])
+        sigma = np.full(len(camera.params), np.nan)
+        # A negative variance is rounding of what is not determined.
+        variance = np.diagonal(np.asarray(of_camera))
+        sigma[sorted(free)] = noise * np.sqrt(np.where(variance >= 0, variance, np.nan))
+        # NaN stays the largest: one camera that is not determined speaks for all.
+        focal = float(np.max([focal, *(sigma[focals] / np.asarray(camera.params)[focals])]))
+        point = float(np.max([point, *sigma[points]]))
+    return None if math.isnan(focal) else focal, None if math.isnan(point) else point

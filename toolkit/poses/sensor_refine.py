@@ -16,13 +16,16 @@ from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors, resi
 from toolkit.poses.resection import Resection, place_by_points
 from toolkit.poses.sensor_biases import correct, estimate_biases
 from toolkit.poses.sensors import SensorPoseSettings
+from toolkit.poses.thin import thin_points
 from toolkit.poses.triangulation import triangulation_options
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Frame, Scene, scene_from_pycolmap
 from toolkit.settings import Boolean, Integer, Number
 
 # Errors left by a coarse round are smaller than this many standard deviations of its residuals.
-_REACH = 8.0
+_REACH = 6.0
+# A coarse round needs no more points a picture than these: poses are far from their accuracy.
+_COARSE_POINTS = 100
 # A round that does not halve the error is followed by one that asks for half of it.
 _SLOWEST = 0.5
 
@@ -191,12 +194,15 @@ class Refinement:
                 seed=self._seed,
                 min_matches=settings.min_matches,
                 threads=settings.threads,
+                adjusted=True,
             ),
             cancellation_token=token,
         )
         check_cancelled()
         if not model.num_points3D():
             raise _no_points(settings)
+        if not final:
+            thin_points(model, _COARSE_POINTS)
         report = adjust(
             model,
             refine_focal=settings.refine_focal,
@@ -205,7 +211,6 @@ class Refinement:
             refine_principal_point=settings.refine_principal_point and final,
             max_error=pixels,
             min_angle=settings.min_angle,
-            coarse=not final,
             threads=settings.threads,
             check_cancelled=check_cancelled,
             priors=position_priors(self.scene, model),

@@ -5,6 +5,12 @@ As NoposeGS does where it refines given poses (Schmidt et al. 2024; A-3DGS, sect
 folded into the pose that is kept, so it is always zero where its gradient is taken: the exponential is never far
 from where it is well behaved, and turning a camera never moves it, for it turns about its own centre.
 
+Turning alone and moving alone look nearly the same to a camera that sees its scene from afar, and what tells them
+apart, parallax, has gradients many times smaller. Adam scales each of the six numbers by itself, so it is of weight
+which six they are (as Park et al. found, CamP, 2023, whose preconditioner is another). With a pivot the rotation
+part turns the camera about a point in the middle of what it sees, which parallax alone tells, and the translation
+part shifts the picture.
+
 All cameras may move, so the whole scene may drift, turn and grow by a similarity that no photo tells. It is left
 free here and taken out where poses and test views are judged: :mod:`toolkit.splat.align_test`.
 """
@@ -21,7 +27,7 @@ from torch import Tensor
 
 from toolkit.errors import NumericalError, StageError
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
-from toolkit.scene import Frame
+from toolkit.scene import Frame, Points
 from toolkit.splat.adam import adam_update
 from toolkit.splat.lie import exp_se3, log_se3
 
@@ -38,19 +44,24 @@ class PoseRefinement:
         (F, 6) moments of ``xi``: translation part, then rotation part.
     count:
         (F,) int64, how often each photo's pose was moved.
+    pivot_depth:
+        (F,) depth on the optical axis of the point that Adam's rotations turn about, in scene units; 0: the camera.
     """
 
     cam_from_world: Tensor
     first: Tensor
     second: Tensor
     count: Tensor
+    pivot_depth: Tensor
 
     @classmethod
-    def start(cls, poses: Sequence[RigidTransform]) -> PoseRefinement:
-        """Return these poses, none of them moved yet."""
+    def start(cls, poses: Sequence[RigidTransform], pivot_depth: Sequence[float] | None = None) -> PoseRefinement:
+        """Return these poses, none of them moved yet; without depths cameras turn about their own centres."""
         matrices = torch.from_numpy(np.stack([pose.matrix for pose in poses]))
         zeros = torch.zeros(len(poses), 6, dtype=torch.float64)
-        return cls(matrices, zeros, zeros.clone(), torch.zeros(len(poses), dtype=torch.int64))
+        depth = torch.zeros(len(poses)) if pivot_depth is None else torch.tensor(pivot_depth)
+        count = torch.zeros(len(poses), dtype=torch.int64)
+        return cls(matrices, zeros, zeros.clone(), count, depth.to(torch.float64))
 
     def tensors(self) -> dict[str, Tensor]:
         """Return everything that a checkpoint must hold."""
@@ -59,12 +70,13 @@ class PoseRefinement:
             "poses.first": self.first,
             "poses.second": self.second,
             "poses.count": self.count,
+            "poses.pivot_depth": self.pivot_depth,
         }
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, Tensor]) -> PoseRefinement:
         """Return what :meth:`tensors` described."""
-        names = ("cam_from_world", "first", "second", "count")
+        names = ("cam_from_world", "first", "second", "count", "pivot_depth")
         return cls(*(tensors[f"poses.{name}"].cpu() for name in names))
 
     def of_photo(self, index: int) -> tuple[Tensor, Tensor]:
@@ -72,8 +84,11 @@ class PoseRefinement:
         xi = torch.zeros(6, dtype=torch.float64, requires_grad=True)
         return xi, exp_se3(xi) @ self.cam_from_world[index]
 
-    def step(self, index: int, gradient: Tensor, rates: Tensor, step: int) -> None:
+    def step(self, index: int, gradient: Tensor, rates: Tensor, step: int, *, ramp: int = 0) -> None:
         """Move a photo's pose against the gradient of its ``xi`` (6,) with learning rates (6,).
+
+        Adam's first step has the size of its rate even where the gradient is next to nothing. So in the first
+        ``ramp`` steps of each pose the rates rise from ``1 / ramp`` of their values, while moments are learned.
 
         Raises
         ------
@@ -82,10 +97,20 @@ class PoseRefinement:
         """
         row = slice(index, index + 1)
         self.count[index] += 1
+        count = int(self.count[index])
+        pivot = torch.tensor([0.0, 0.0, float(self.pivot_depth[index])], dtype=torch.float64)
+        # x + v + w x (x - pivot): by the chain rule the gradient of w has that of v in it.
+        turning = gradient[3:] - torch.linalg.cross(pivot, gradient[:3])
         xi = torch.zeros(1, 6, dtype=torch.float64)
         finite = adam_update(
-            xi, gradient[None], self.first[row], self.second[row], rates.to(xi), int(self.count[index])
+            xi,
+            torch.cat([gradient[:3], turning])[None],
+            self.first[row],
+            self.second[row],
+            (rates * min(1.0, count / max(1, ramp))).to(xi),
+            count,
         )
+        xi[0, :3] -= torch.linalg.cross(xi[0, 3:], pivot)
         if not finite:
             raise NumericalError(
                 f"Training met values that are not finite in the pose of photo {index} at step {step}",
@@ -105,6 +130,20 @@ def xi_rates(rate: float, extent: float) -> Tensor:
     NoposeGS has one rate for both, in scenes that are scaled to the unit cube; the extent takes the scale's place.
     """
     return torch.tensor([rate * extent] * 3 + [rate] * 3, dtype=torch.float64)
+
+
+def pivot_depths(poses: Sequence[RigidTransform], points: Points | None) -> list[float]:
+    """Return for each camera the median depth of the points before it, 0 where there are none."""
+    depths = [np.zeros(0) if points is None else pose.apply(points.xyz)[:, 2] for pose in poses]
+    return [float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0 for depth in depths]
+
+
+def within_reach(cost: Tensor, reach: float) -> Tensor:
+    """Return the cost of a pose with an end to it: as it is when small, ``reach`` squared at most; 0: no end.
+
+    The loss of Geman and McClure (1985). What starts far off, or is driven far off by its photo, is let go.
+    """
+    return cost if reach == 0 else cost / (1 + cost / reach**2)
 
 
 @dataclass(frozen=True)

@@ -116,6 +116,19 @@ class TrainSettings(Settings):
         doc="Poses rest up to here, while the Gaussians find their colours.",
     )
     pose_stop = Number(1.0, bounds=(0.0, 1.0), unit="of steps", doc="... and from here on.")
+    pose_ramp = Integer(
+        0,
+        bounds=(0, 1_000_000),
+        unit="steps",
+        doc="In the first steps of each pose, so many, its rate rises: noise in the gradients of good poses does "
+        "not throw them off; 0: full at once.",
+    )
+    pose_pivot = Boolean(
+        False,
+        doc="Learn each camera's rotation about a point in the middle of what it sees, at the points' median "
+        "depth, so that parallax has a rate of its own (in the spirit of Park et al., CamP, 2023); otherwise about "
+        "the camera, as NoposeGS.",
+    )
     pose_prior = Choice(
         "start",
         choices=("start", "sensor"),
@@ -125,6 +138,12 @@ class TrainSettings(Settings):
         0.0,
         bounds=(0.0, 1e6),
         doc="Weight of that pull: of the mean square of a pose's deviations in sigmas; 0: none.",
+    )
+    pose_prior_reach = Number(
+        0.0,
+        bounds=(0.0, 1e6),
+        unit="sigmas",
+        doc="The pull ends for poses that are farther off, so that it holds the good ones only; 0: never.",
     )
     pose_position_sigma = Number(
         0.01, bounds=(1e-9, 100.0), unit="scene extents", doc="Sigma of positions where no sensor tells its own."

@@ -21,7 +21,7 @@ from toolkit.splat.images import Photo
 from toolkit.splat.initialise import gaussians_from_points
 from toolkit.splat.mcmc import McmcControl
 from toolkit.splat.optimiser import GaussianOptimiser, require_finite
-from toolkit.splat.pose_refine import PoseRefinement
+from toolkit.splat.pose_refine import PoseRefinement, pivot_depths
 from toolkit.splat.train_settings import Schedule, TrainSettings
 
 # Third scale of a disk, in scene extents.
@@ -113,7 +113,7 @@ class TrainState:
             initial_gaussians=len(gaussians),
             most_gaussians=settings.max_gaussians,
             exposure=Exposure.start(photos, device) if settings.exposure else None,
-            poses=_start_poses(scene) if settings.refine_poses else None,
+            poses=_start_poses(scene, settings) if settings.refine_poses else None,
         )
 
     def next_photo(self) -> int:
@@ -179,9 +179,10 @@ class TrainState:
         )
 
 
-def _start_poses(scene: Scene) -> PoseRefinement:
-    poses = (frame.cam_from_world for frame in scene.of_split("train"))
-    return PoseRefinement.start([pose for pose in poses if pose is not None])
+def _start_poses(scene: Scene, settings: TrainSettings) -> PoseRefinement:
+    frames = scene.of_split("train")
+    poses = [frame.cam_from_world for frame in frames if frame.cam_from_world is not None]
+    return PoseRefinement.start(poses, pivot_depths(poses, scene.points) if settings.pose_pivot else None)
 
 
 def _density_type(settings: TrainSettings) -> type[DensityControl] | type[McmcControl]:

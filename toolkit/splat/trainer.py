@@ -22,7 +22,7 @@ from toolkit.splat.gaussian_costs import anisotropy_excess, mean_opacity
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, Pyramid
 from toolkit.splat.loss import photometric_loss
-from toolkit.splat.pose_refine import PoseTargets, xi_rates
+from toolkit.splat.pose_refine import PoseTargets, within_reach, xi_rates
 from toolkit.splat.rasterize import RenderOutput, rasterize
 from toolkit.splat.regularise import depth_distortion, normal_consistency
 from toolkit.splat.train_settings import Schedule, TrainSettings, camera_rate
@@ -126,7 +126,8 @@ class Trainer:
             if state.exposure is not None and affine is not None and affine.grad is not None:
                 state.exposure.step(index, affine.grad, settings.lr_exposure, step)
             if state.poses is not None and xi is not None and xi.grad is not None:
-                state.poses.step(index, xi.grad, xi_rates(camera_rate(settings, step), self.extent), step)
+                rates = xi_rates(camera_rate(settings, step), self.extent)
+                state.poses.step(index, xi.grad, rates, step, ramp=settings.pose_ramp)
         with self._clock("density"):
             state.density.after_step(state.optimiser, state.generator, step)
         return value
@@ -141,8 +142,10 @@ class Trainer:
         if not moves:
             pose = pose.detach()
         posed = replace(photo.views, cam_from_world=pose[None].to(photo.views.cam_from_world))
-        pull = self.settings.pose_prior_weight * targets.cost(index, pose) if moves and targets else None
-        return replace(photo, views=posed), xi if moves else None, pull
+        if not moves or targets is None:
+            return replace(photo, views=posed), xi if moves else None, None
+        pull = within_reach(targets.cost(index, pose), self.settings.pose_prior_reach)
+        return replace(photo, views=posed), xi, self.settings.pose_prior_weight * pull
 
     def _shape_cost(self, gaussians: Gaussians) -> Tensor | None:
         """Return what keeps Gaussians faint and round, None where nothing is asked for."""
