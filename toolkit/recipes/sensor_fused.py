@@ -33,7 +33,7 @@ class SensorFusedSettings(Settings):
     """
 
     sift = Group(SiftSettings(first_octave=0, max_features=2048), doc="Features")
-    pairs = Group(PairSettings(method="sensor"), doc="Which photos are matched with which")
+    pairs = Group(PairSettings(method="sensor", neighbours=6, reach=4.0), doc="Which photos are matched with which")
     match = Group(MatchSettings(), doc="Matching and geometric verification")
     sensors = Group(
         SensorSfmSettings(attitude="auto"),
