@@ -14,7 +14,7 @@ import argparse
 import os
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ class Method:
     changes: Mapping[str, Any] = field(default_factory=dict)
     frames: tuple[int, ...] = (30, 60, 120, 240)
     trained: tuple[int, ...] = ()
+    coarse_to_fine: bool = False
 
 
 FUSED = Method("sensor-fused", "sensor-fused", trained=(30, 60, 120, 240))
@@ -56,6 +57,11 @@ SAME = Method(
     {"pairs.method": "exhaustive", **CHEAP},
     trained=(30, 60, 120, 240),
 )
+# The same poses under the faster trainer.
+FAST = [
+    replace(method, title=method.title + ", coarse to fine", frames=(240,), trained=(240,), coarse_to_fine=True)
+    for method in (SAME, FUSED)
+]
 DEFAULT = Method("COLMAP, exhaustive, its defaults", "colmap-3dgs", {"pairs.method": "exhaustive"}, (30, 60, 120))
 METHODS = (
     SAME,
@@ -63,6 +69,7 @@ METHODS = (
     Method("COLMAP, spatial, the same features", "colmap-3dgs", {"pairs.method": "spatial", **CHEAP}),
     Method("COLMAP, spatial, its defaults", "colmap-3dgs", {"pairs.method": "spatial"}),
     FUSED,
+    *FAST,
 )
 
 
@@ -91,7 +98,8 @@ def finished_run(method: Method, data: Path, count: int, runs_dir: Path) -> RunF
             return folder
     recipe = find_recipe(method.recipe)
     steps = STEPS if count in method.trained else SHORT
-    settings = recipe.settings_type().replace({**method.changes, "train.steps": steps})
+    training = {"train.steps": steps, "train.coarse_to_fine": method.coarse_to_fine}
+    settings = recipe.settings_type().replace({**method.changes, **training})
     run = create_run(recipe, data, settings, runs_dir, name=name)
     bar = TqdmProgress()
     try:
@@ -132,7 +140,8 @@ def times(runs: Mapping[tuple[int, str], RunFolder], counts: Iterable[int]) -> N
             row += ["", "", ""]
             if count in method.trained:
                 total = poses + seconds(run, "scene")
-                whole = seconds(runs[count, SAME.title], "poses") + seconds(runs[count, SAME.title], "scene")
+                other = runs[count, FAST[0].title if method.coarse_to_fine else SAME.title]
+                whole = seconds(other, "poses") + seconds(other, "scene")
                 row[-3:] = [f"{total:.0f}", f"{total / whole:.2f}", f"{run.result().metrics['test.psnr']:.2f}"]
             rows.append(row)
     heads = (
@@ -146,7 +155,7 @@ def errors(runs: Mapping[tuple[int, str], RunFolder], data: Mapping[int, Path]) 
     rows = []
     for count, folder in data.items():
         truth = read_scene(folder)
-        for method in (m for m in METHODS if count in m.frames):
+        for method in (m for m in METHODS if count in m.frames and not m.coarse_to_fine):
             found = read_scene(runs[count, method.title].scene_folder)
             rows.append([count, method.title, *_errors(found, truth), *_bias(runs[count, method.title], truth)])
         sensed = sensor_poses(truth.without_poses(), SensorPoseSettings()).scene

@@ -11,6 +11,7 @@ import torch
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.splat.chain import in_world
 from toolkit.splat.density import DensityChange, DensityControl
+from toolkit.splat.density_rounds import control_density
 from toolkit.splat.evaluate import fixed_background, raster_settings
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, Pyramid
@@ -103,7 +104,9 @@ class GrowingMap:
         while self.step < last_step:
             self.step += 1
             loss = self._learn(self.step)
-            self._control_density(self.step)
+            self.changes += control_density(
+                self._density, self._optimiser, self._schedule, self._generator, self.step
+            )
             after_step(self.step, loss)
 
     def _learn(self, step: int) -> float:
@@ -133,18 +136,6 @@ class GrowingMap:
         optimiser.step(settings, self._unit, step, drawn=drawn)
         self._density.after_step(optimiser, self._generator, step)
         return float(loss.detach())
-
-    def _control_density(self, step: int) -> None:
-        schedule = self._schedule
-        if schedule.densifies_after(step):
-            self.changes += self._density.refine(
-                self._optimiser,
-                self._generator,
-                prune_large=schedule.prunes_large_after(step),
-                most=schedule.most_gaussians_at(step),
-            )
-        if schedule.resets_after(step):
-            self._density.set_opacities_back(self._optimiser)
 
 
 def _extended(optimiser: GaussianOptimiser, fresh: Gaussians) -> GaussianOptimiser:

@@ -16,6 +16,7 @@ from toolkit.errors import Cancelled, NumericalError
 from toolkit.metrics.image import psnr
 from toolkit.progress import Progress, ProgressEvent
 from toolkit.splat.checkpoint import save_checkpoint
+from toolkit.splat.density_rounds import control_density
 from toolkit.splat.evaluate import draw, fixed_background, raster_settings
 from toolkit.splat.exposure import expose
 from toolkit.splat.gaussian_costs import anisotropy_excess, mean_opacity
@@ -81,7 +82,7 @@ class Trainer:
         state.optimiser.raise_sh_degree(self.schedule.sh_degree_at(step))
         loss = self._learn(state.next_photo(), step)
         with self._clock("density"):
-            self._control_density(step)
+            state.changes += control_density(state.density, state.optimiser, self.schedule, state.generator, step)
         psnr_test = None
         if self.test_photo is not None and (step % self.settings.eval_every == 0 or step == self.settings.steps):
             with self._clock("evaluation"):
@@ -160,18 +161,6 @@ class Trainer:
         normals, spread = self.schedule.normal_weight_at(step), self.schedule.distortion_weight
         cost = normals * normal_consistency(output, photo.views) if normals > 0 else None
         return _sum(cost, spread / self.extent**2 * depth_distortion(output) if spread > 0 else None)
-
-    def _control_density(self, step: int) -> None:
-        state, schedule = self.state, self.schedule
-        if schedule.densifies_after(step):
-            state.changes += state.density.refine(
-                state.optimiser,
-                state.generator,
-                prune_large=schedule.prunes_large_after(step),
-                most=schedule.most_gaussians_at(step),
-            )
-        if schedule.resets_after(step):
-            state.density.set_opacities_back(state.optimiser)
 
     def _background(self, like: Tensor) -> Tensor:
         if self.settings.background == "random":

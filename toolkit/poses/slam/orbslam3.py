@@ -53,10 +53,11 @@ class OrbSlam3Settings(Settings):
     threshold = Integer(20, bounds=(1, 255), doc="Of the FAST corner detector, in grey values.")
     least_threshold = Integer(7, bounds=(1, 255), doc="The same where the first one finds no corner.")
     pace = Number(
-        0.0,
+        1.0,
         bounds=(0.0, 10.0),
         doc="Least time from frame to frame as a share of the video's own: ORB-SLAM3 builds its map meanwhile, and "
-        "a map that lags behind loses the camera. 0: as fast as it takes them.",
+        "a map that lags behind loses the camera. 1: as it was filmed, which is what ORB-SLAM3 is made for; 0: as "
+        "fast as it takes them.",
     )
     time_limit = Number(
         3600.0, bounds=(0.1, 1e6), unit="s", doc="Ended with an error where everything together takes longer."
