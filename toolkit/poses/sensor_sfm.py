@@ -170,7 +170,7 @@ def sensor_sfm(
         job = Refinement(trusted, copy, settings, seed, turns)
         model = run_colmap(job.run, job.event, progress, copy)
     refined = time.perf_counter()
-    turned_about_line = _settle_line(model, job.scene)
+    turned_about_line = _settle_line(model, job.scene, guessed=sensors.from_flight_line)
     unusable = {
         **dict.fromkeys(sensors.no_attitude, "no gimbal attitude"),
         **dict.fromkeys(sensors.in_turn, "taken in a turn, where the flight does not tell the attitude"),
@@ -274,8 +274,8 @@ def _poses(model: pycolmap.Reconstruction) -> dict[int, RigidTransform]:
     return poses
 
 
-def _settle_line(model: pycolmap.Reconstruction, trusted: Scene) -> tuple[str, ...]:
-    """Turn a reconstruction whose cameras lie on a line about it, by the gimbal: positions leave that open."""
+def _settle_line(model: pycolmap.Reconstruction, trusted: Scene, *, guessed: Sequence[str]) -> tuple[str, ...]:
+    """Turn a reconstruction whose cameras lie on a line about it, by the attitudes: positions leave that open."""
     pairs = []
     for image_id, pose in _poses(model).items():
         by_sensors = _by_sensors(trusted.frames[image_id - 1])
@@ -295,8 +295,9 @@ def _settle_line(model: pycolmap.Reconstruction, trusted: Scene) -> tuple[str, .
         pycolmap.Sim3d(similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation)
     )
     return (
-        f"the positions lie on a line (to {across:.1f} m): the turn about it was taken from the gimbal, and focal "
-        "length and height are hardly told apart",
+        f"the positions lie on a line (to {across:.1f} m): the turn about it was taken from "
+        + ("the assumed tilt of the camera" if guessed else "the gimbal")
+        + ", and focal length and height are hardly told apart",
     )
 
 
