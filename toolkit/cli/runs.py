@@ -62,6 +62,11 @@ def _add_run(commands: argparse._SubParsersAction) -> None:
     added.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
     added.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to compute [cpu]")
     added.add_argument("--name", default="", metavar="TEXT", help="what to call the run")
+    added.add_argument(
+        "--queue",
+        action="store_true",
+        help="let it wait for its turn and come back; toolkit show tells how it goes",
+    )
     add_runs_dir(added)
 
 
@@ -93,7 +98,13 @@ def _run(arguments: argparse.Namespace) -> None:
         )
     )
     print(f"Run {run.id} in {run.path}", file=sys.stderr)
-    _finish(run, execute)
+    if arguments.queue:
+        from toolkit.runs.queue import enqueue, ensure_worker
+
+        enqueue(run)
+        ensure_worker(arguments.runs)
+    else:
+        _finish(run, execute)
 
 
 def _with_camera(arguments: argparse.Namespace, settings: Settings) -> tuple[Path, Settings]:

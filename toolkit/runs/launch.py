@@ -9,6 +9,7 @@ from typing import Any
 from toolkit.errors import CapabilityError, DataError, RunError, SettingsError
 from toolkit.progress import Progress, fan_out, silent
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
+from toolkit.runs.cancel import CancelRequests, forget_request
 from toolkit.runs.folder import RunFolder, make_folder
 from toolkit.runs.journal import Journal, journal
 from toolkit.runs.machine import describe_code, describe_machine, describe_threads
@@ -131,12 +132,13 @@ def _work(run: RunFolder, progress: Progress, recipe: Recipe | None, *, allowed:
     with run.held():
         before = _status_of(run)
         _check_state(run, before, allowed)
+        forget_request(run)
         with journal(run) as book:
             if before.state != "queued":
                 where = f" in stage '{before.stage}' at {before.done}" if before.stage else ""
                 book.log(f"resumed; it was {before.state}{where}" + (f": {before.error}" if before.error else ""))
             _log_changes(book, record)
-            tell = fan_out([book, progress])
+            tell = fan_out([book, CancelRequests(run), progress])
             capture = _open_same(run, record, book, tell)
             context = RecipeContext(
                 workspace=Workspace(run.path.parent / WORKSPACE),
