@@ -12,6 +12,7 @@ from toolkit.depth.ground_depth import GroundDepth, ground_height, plane_depth
 from toolkit.depth.settings import GroundSettings
 from toolkit.errors import DataError, StageError
 from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.rigid import RigidTransform
 from toolkit.scene import Frame, Scene
 
 
@@ -89,3 +90,20 @@ def test_test_frames_do_not_say_where_the_ground_is(flat_scene: Callable[..., Sc
     scene = flat_scene()
     frames = (scene.frames[0], dataclasses.replace(scene.frames[1], split="test"))
     assert ground_height(scene.replace(frames=frames), GroundSettings(flight_height=60.0)) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(("apart", "sound"), [(20.0, True), (200.0, False)])
+def test_a_ground_that_neighbours_could_not_both_see_is_an_error(
+    flat_scene: Callable[..., Scene], apart: float, sound: bool
+) -> None:
+    """Heights that count from the first photo leave the ground at z = 0 between the cameras."""
+    scene = flat_scene()
+    poses = [RigidTransform.look_at([apart * i, 0, 65], [apart * i, 1, 5]) for i in range(5)]
+    scene = scene.replace(frames=tuple(Frame(f"{i}.png", 1, pose) for i, pose in enumerate(poses)))
+    if sound:
+        assert ground_height(scene, GroundSettings()) == 0.0
+        return
+    with pytest.raises(
+        StageError, match=r"cannot be at z = 0 m; expected cameras at least 0\.5 times as high .*200"
+    ):
+        ground_height(scene, GroundSettings())

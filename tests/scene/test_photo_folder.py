@@ -17,7 +17,9 @@ from toolkit.errors import Cancelled, DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import CancelToken, ProgressEvent
 from toolkit.scene import Scene
+from toolkit.scene.exif import PhotoTags
 from toolkit.scene.photos import PhotoFolder, scene_from_photos
+from toolkit.scene.tag_writer import exif_block, xmp_packet
 
 GPS = {1: "N", 2: (46.0, 50.0, 33.3855), 3: "W", 4: (91.0, 59.0, 40.4156), 5: b"\x00", 6: 198.309}
 
@@ -330,3 +332,18 @@ def test_progress_counts_photos_and_can_cancel(tmp_path: Path) -> None:
     token.cancel()
     with pytest.raises(Cancelled):
         scene_from_photos(tmp_path, progress=token)
+
+
+@pytest.mark.parametrize(("telling", "expected"), [(3, [40.0, 41.0, 42.0]), (1, [0.0, 1.0, 2.0])])
+def test_z_is_the_height_above_the_take_off_where_most_photos_tell_it(
+    tmp_path: Path, telling: int, expected: list[float]
+) -> None:
+    for i in range(3):
+        tags = PhotoTags(
+            position=(46.8, -92.0, 198.0 + i), relative_altitude=40.0 + i if i < telling else None, time=None
+        )
+        Image.new("RGB", (40, 30)).save(tmp_path / f"{i}.jpg", exif=exif_block(tags, 40, 30), xmp=xmp_packet(tags))
+    scene = scene_from_photos(tmp_path).scene
+    heights = [None if f.prior is None or f.prior.position is None else f.prior.position[2] for f in scene.frames]
+    # EXIF holds altitudes in thousandths of a metre.
+    assert heights == pytest.approx(expected, abs=0.002)

@@ -10,6 +10,9 @@ from toolkit.depth.settings import GroundSettings
 from toolkit.errors import DataError, StageError
 from toolkit.scene import Frame, Scene
 
+# Neighbours that were half as high as they are apart would have to look 45 degrees aside to see one place.
+_LEAST_HEIGHT, _LEAST_CAMERAS = 0.5, 3
+
 
 class GroundDepth:
     """Gives each picture the depth of the ground plane; nothing above the horizon has any.
@@ -42,7 +45,8 @@ def ground_height(scene: Scene, settings: GroundSettings) -> float:
     Raises
     ------
     StageError
-        Where the scene is not georeferenced, so that nothing says which way is up, or no training frame has a pose.
+        Where the scene is not georeferenced, so that nothing says which way is up, no training frame has a pose, or
+        the cameras would be so near to the ground that neighbours saw nothing in common.
     """
     if scene.georeference is None:
         raise StageError(
@@ -51,14 +55,30 @@ def ground_height(scene: Scene, settings: GroundSettings) -> float:
             found="a world frame without georeference",
             todo="Use sensor poses, or align the scene to ground control",
         )
-    if settings.flight_height == 0:
-        return float(settings.ground_height)
     centres = scene.centres(scene.of_split("train"))
+    if settings.flight_height == 0:
+        _require_above(centres, float(settings.ground_height))
+        return float(settings.ground_height)
     if len(centres) == 0:
         raise StageError(
             "The height of the flight is known, but no training frame has a pose", todo="Find poses first"
         )
     return float(np.median(centres[:, 2]) - settings.flight_height)
+
+
+def _require_above(centres: NDArray[np.float64], height: float) -> None:
+    """Refuse a ground that cannot be: pictures overlap from heights that are no smaller than their distances."""
+    if len(centres) < _LEAST_CAMERAS:
+        return
+    apart = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
+    above = float(np.median(centres[:, 2]) - height)
+    if above < _LEAST_HEIGHT * apart:
+        raise StageError(
+            f"The ground cannot be at z = {height:g} m",
+            expected=f"cameras at least {_LEAST_HEIGHT:g} times as high above it as they are apart ({apart:.1f} m)",
+            found=f"{above:.1f} m",
+            todo="Set flight_height, or ground_height in the scene's own heights",
+        )
 
 
 def plane_depth(scene: Scene, frame: Frame, height: float, max_distance: float) -> NDArray[np.float64]:

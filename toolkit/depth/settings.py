@@ -35,7 +35,11 @@ class GroundSettings(Settings):
         "0: not known, the ground is at ground_height.",
     )
     ground_height = Number(
-        0.0, bounds=(-12000.0, 12000.0), unit="m", doc="World z of the ground, where flight_height is 0."
+        0.0,
+        bounds=(-12000.0, 12000.0),
+        unit="m",
+        doc="World z of the ground, where flight_height is 0. Photos that tell their height above the "
+        "take-off have z = 0 there.",
     )
     max_distance = Number(
         1000.0, bounds=(0.1, 100000.0), unit="m", doc="Ground farther than this from the camera has no depth."

@@ -86,7 +86,7 @@ def _data_lines(table: PaperTable, name: str) -> list[str]:
         if entry is None:
             continue
         if entry.outcome:
-            lines.append(_line(_plain(row.row.title), NOTHING, _plain(entry.outcome)))
+            lines.append(_line(_plain(row.row.title), NOTHING, _plain(entry.brief or entry.outcome)))
             continue
         cells = _cells(entry, (*MEASURES, *MORE_MEASURES), best[row.row.key], "**{}**")
         lines.append(_line(_plain(row.row.title), _registered(entry), *cells))

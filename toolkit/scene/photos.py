@@ -195,10 +195,17 @@ def _cameras(photos: Sequence[_Photo], model: str, share: bool) -> tuple[dict[in
 
 
 def _priors(photos: Sequence[_Photo]) -> tuple[Georeference | None, Mapping[str, PosePrior]]:
-    """Return the origin, the first position, and the priors in metres from it, with the gimbal's rotation."""
+    """Return the origin and the priors in metres from it, with the gimbal's rotation.
+
+    The origin is the first position; where most photos tell their height above the take-off, it lies as high as
+    that was, so that z is this height.
+    """
     origin = next((photo.tags.position for photo in photos if photo.tags.position is not None), None)
     if origin is None:
         return None, {}
+    takeoff = _takeoff_heights(photos)
+    if 2 * len(takeoff) > sum(photo.tags.position is not None for photo in photos):
+        origin = (*origin[:2], float(np.median(list(takeoff.values()))))
     readings = [
         GeodeticReading(photo.tags.position, photo.tags.gimbal, photo.tags.position_sigma or None)
         for photo in photos
@@ -245,17 +252,21 @@ def _height_troubles(photos: Sequence[_Photo]) -> dict[str, list[str]]:
     above_ellipsoid = [photo.name for photo in placed if photo.tags.above_ellipsoid is True]
     if above_ellipsoid and any(photo.tags.above_ellipsoid is False for photo in placed):
         troubles["altitude above the ellipsoid, others above the sea; both are taken alike"] = above_ellipsoid
-    # The height of the take-off by each photo: one number, but for the errors of GPS and barometer.
-    takeoff = {
-        photo.name: photo.tags.position[2] - photo.tags.relative_altitude
-        for photo in placed
-        if photo.tags.position is not None and photo.tags.relative_altitude is not None
-    }
+    takeoff = _takeoff_heights(placed)
     middle = float(np.median(list(takeoff.values()))) if takeoff else 0.0
     odd = [name for name, height in takeoff.items() if abs(height - middle) > _HEIGHTS_APART]
     if odd:
         troubles[f"GPS height and height above take-off contradict each other by over {_HEIGHTS_APART:g} m"] = odd
     return troubles
+
+
+def _takeoff_heights(photos: Sequence[_Photo]) -> dict[str, float]:
+    """Return the height of the take-off by each photo: one number, but for the errors of GPS and barometer."""
+    return {
+        photo.name: photo.tags.position[2] - photo.tags.relative_altitude
+        for photo in photos
+        if photo.tags.position is not None and photo.tags.relative_altitude is not None
+    }
 
 
 def _some(names: Sequence[str]) -> str:
