@@ -27,9 +27,9 @@ def test_one_call_is_the_three_calls(flight: Scene, tmp_path: Path) -> None:
     found = match_scene(flight, tmp_path / "one.db", sift, pairs)
     extract_sift(flight, tmp_path / "three.db", sift)
     wanted = match_pairs(tmp_path / "three.db", flight, choose_pairs(flight, pairs), MatchSettings())
-    # Of the matches by descriptor, which have no chance in them.
     np.testing.assert_array_equal(found.report.pairs, wanted.pairs)
     np.testing.assert_array_equal(found.report.matches, wanted.matches)
+    np.testing.assert_array_equal(found.report.inliers, wanted.inliers)
     assert found.report.inliers.max() > 15
     assert found.database == tmp_path / "one.db"
     assert set(found.seconds) == {"features", "matches"}
