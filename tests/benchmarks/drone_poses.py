@@ -19,14 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from finished_runs import finished_run
 
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.poses.sensors import SensorPoseSettings, sensor_poses
 from toolkit.progress import TqdmProgress
-from toolkit.recipes.registry import find_recipe
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.index import run_folders, summarise
-from toolkit.runs.launch import create_run, execute
 from toolkit.runs.paper_rows import STAGE_PARTS
 from toolkit.samples.drone_flights import SpiralVideoSettings, make_drone_flight
 from toolkit.scene import Scene
@@ -89,24 +87,11 @@ def subset(flight: Path, folder: Path, count: int) -> Path:
     return folder
 
 
-def finished_run(method: Method, data: Path, count: int, runs_dir: Path) -> RunFolder:
-    """Return the newest finished run of a method on so many frames, or make it."""
-    name = f"{method.title} {count}"
-    for folder in reversed(run_folders(runs_dir)):
-        summary = summarise(folder)
-        if summary.state == "finished" and summary.name == name:
-            return folder
-    recipe = find_recipe(method.recipe)
+def run_of(method: Method, data: Path, count: int, runs_dir: Path) -> RunFolder:
+    """Return the finished run of a method on so many frames, made where it is missing."""
     steps = STEPS if count in method.trained else SHORT
     training = {"train.steps": steps, "train.coarse_to_fine": method.coarse_to_fine}
-    settings = recipe.settings_type().replace({**method.changes, **training})
-    run = create_run(recipe, data, settings, runs_dir, name=name)
-    bar = TqdmProgress()
-    try:
-        execute(run, bar)
-    finally:
-        bar.close()
-    return run
+    return finished_run(method.recipe, f"{method.title} {count}", data, runs_dir, {**method.changes, **training})
 
 
 def seconds(run: RunFolder, part: str) -> float:
@@ -199,7 +184,7 @@ def main() -> int:
     for count in arguments.frames:
         data[count] = subset(flight, arguments.runs / "data" / f"spiral{count}", count)
         for method in (m for m in METHODS if count in m.frames):
-            runs[count, method.title] = finished_run(method, data[count], count, arguments.runs)
+            runs[count, method.title] = run_of(method, data[count], count, arguments.runs)
     times(runs, arguments.frames)
     errors(runs, data)
     return 0

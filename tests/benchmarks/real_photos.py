@@ -11,32 +11,13 @@ import os
 import sys
 from pathlib import Path
 
-from toolkit.progress import TqdmProgress
-from toolkit.recipes.registry import find_recipe
-from toolkit.runs.folder import RunFolder
-from toolkit.runs.index import run_folders, summarise
-from toolkit.runs.launch import create_run, execute
+from finished_runs import finished_run
+
 from toolkit.runs.result import StoredResult
 
 RECIPE = "colmap-3dgs"
 SETS = ("uav_oblique_kap_boruszyn", "lund_park_gate", "uav_brighton_beach", "strecha_fountain_p11")
 STAGES = ("features", "matches", "sfm", "undistort", "train", "measure")
-
-
-def finished_run(name: str, data: Path, runs_dir: Path) -> RunFolder:
-    """Return the newest finished run of this name, or make it."""
-    for folder in reversed(run_folders(runs_dir)):
-        summary = summarise(folder)
-        if summary.state == "finished" and summary.name == name:
-            return folder
-    recipe = find_recipe(RECIPE)
-    run = create_run(recipe, data / name, recipe.settings_type(), runs_dir, name=name)
-    bar = TqdmProgress()
-    try:
-        execute(run, bar)
-    finally:
-        bar.close()
-    return run
 
 
 def photo_row(name: str, result: StoredResult) -> str:
@@ -79,7 +60,7 @@ def main() -> int:
     if not data:
         print("TOOLKIT_DATA is not set: it names the folder with the real pictures. Nothing was measured.")
         return 0
-    results = {name: finished_run(name, Path(data), arguments.runs).result() for name in SETS}
+    results = {name: finished_run(RECIPE, name, Path(data) / name, arguments.runs).result() for name in SETS}
     print("| set | registered | points | error (px) | test PSNR (dB) | test SSIM | Gaussians | ", end="")
     print(" | ".join(f"{stage} (s)" for stage in STAGES), "|")
     print("|---" * (7 + len(STAGES)) + "|")

@@ -12,14 +12,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from finished_runs import finished_run
 
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.poses.sensors import SensorPoseSettings, sensor_poses
 from toolkit.progress import TqdmProgress
-from toolkit.recipes.registry import find_recipe
-from toolkit.runs.folder import RunFolder
-from toolkit.runs.index import run_folders, summarise
-from toolkit.runs.launch import create_run, execute
 from toolkit.samples.flights import FlightSettings, flight_camera, flight_poses
 from toolkit.samples.make import ORIGIN, SampleSettings, make_sample
 from toolkit.samples.sensors import SensorSettings, prior_of, read_sensors
@@ -31,23 +28,6 @@ RECIPES = ("colmap-3dgs", "sensor-3dgs")
 SEEDS = (0, 1, 2)
 # The mean and the standard deviation of the length of three unit normals.
 MEAN, DEVIATION = np.sqrt(8 / np.pi), np.sqrt(3 - 8 / np.pi)
-
-
-def finished_run(recipe_name: str, name: str, data: Path, runs_dir: Path, changes: dict[str, object]) -> RunFolder:
-    """Return the newest finished run of this recipe and name, or make it."""
-    for folder in reversed(run_folders(runs_dir)):
-        summary = summarise(folder)
-        if summary.state == "finished" and (summary.recipe, summary.name) == (recipe_name, name):
-            return folder
-    recipe = find_recipe(recipe_name)
-    settings = recipe.settings_type().replace(changes)
-    run = create_run(recipe, data, settings, runs_dir, name=name)
-    bar = TqdmProgress()
-    try:
-        execute(run, bar)
-    finally:
-        bar.close()
-    return run
 
 
 def noise(count: int = 4000) -> None:

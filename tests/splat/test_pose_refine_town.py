@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from tiny_training import settings
 
 from toolkit.geometry.rigid import RigidTransform, rotation_from_quaternion
 from toolkit.metrics.trajectory import TrajectoryErrors, trajectory_errors
@@ -56,7 +57,21 @@ def chosen() -> TrainSettings:
     return pose_preset_settings("poses-short").replace({"max_gaussians": 2000, "early_max_gaussians": 0})
 
 
-def test_a_degree_and_a_percent_of_noise_fall(truth: Scene, chosen: TrainSettings) -> None:
+def test_a_degree_and_a_percent_of_noise_fall(truth: Scene) -> None:
+    start = shaken(truth, degrees=1.0, share=0.01)
+    free = settings(
+        steps=1000, refine_poses=True, lr_camera=4e-3, lr_camera_final=2e-4, lr_means=2e-3, lr_means_final=1e-4,
+        sh_degree=0, max_gaussians=2000, eval_every=1000,
+    )  # fmt: skip
+    result = train_splats(start, free, seed=0)
+    before = training_errors(start, truth)
+    after = training_errors(aligned_test_scene(start, result.poses).scene, truth)
+    # Measured: 6.5 and 3.1. What is left, 0.18 degrees, is a quarter of a pixel of pictures this small.
+    assert after.rot < before.rot / 3.5
+    assert after.pos < before.pos / 2
+
+
+def test_it_falls_where_good_poses_are_held_too(truth: Scene, chosen: TrainSettings) -> None:
     start = shaken(truth, degrees=1.0, share=0.01)
     result = train_splats(start, chosen, seed=0)
     before, after = (
