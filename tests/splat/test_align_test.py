@@ -198,6 +198,12 @@ def test_test_renders_with_fitted_poses_have_columns_of_their_own(scene: Scene, 
     assert fitted > np.mean(unfitted) + 3  # dB
     assert len(list((tmp_path / "test_refined").glob("*.png"))) == 6
     assert list(report) == ["test_refined"]
+    assert (metrics["test_refined.not_fitted"], report["test_refined"]["not_fitted"]) == (0, [])
+    nowhere = true_gaussians().map(lambda tensor: tensor[:0])
+    metrics, report = measure_refined_test_renders(nowhere, off, chosen, lpips, context)
+    # Nothing covers these photos, so that nothing tells their poses: it says so.
+    assert metrics["test_refined.not_fitted"] == 3
+    assert report["test_refined"]["not_fitted"] == [frame.name for frame in off.of_split("test")]
     assert measure_refined_test_renders(true_gaussians(), off, TrainSettings(), lpips, context) == ({}, {})
 
 

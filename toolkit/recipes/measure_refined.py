@@ -82,7 +82,9 @@ def measure_refined_test_renders(
         context.progress,
         name=REFINED_TESTS,
     )
-    return metrics, {REFINED_TESTS: report}
+    pairs = zip(flat_scene.of_split("test"), fitted.of_split("test"), strict=True)
+    kept = [before.name for before, after in pairs if after.cam_from_world is before.cam_from_world]
+    return {**metrics, "test_refined.not_fitted": float(len(kept))}, {REFINED_TESTS: {**report, "not_fitted": kept}}
 
 
 def training_only(scene: Scene) -> Scene:
