@@ -5,19 +5,19 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from photo_tags import retagged
 from PIL import Image
 
 from toolkit.cli import main
 from toolkit.samples.make import SampleSettings, make_sample
 from toolkit.scene.dataset import Capture, open_capture
-from toolkit.scene.exif import PhotoTags, read_tags
-from toolkit.scene.tag_writer import exif_block, xmp_packet
+from toolkit.scene.exif import PhotoTags
 
 QUICK = ["--set", "sift.max_features=512", "--set", "train.steps=5", "--set", "train.max_side=64"]
 
@@ -143,17 +143,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("flight") / "town"
     make_sample(folder, settings)
     return folder / "images"
-
-
-def retagged(flown: Path, folder: Path, changes: Mapping[str, Callable[[PhotoTags], PhotoTags]]) -> Path:
-    """Copy the flight with other tags in the named pictures."""
-    shutil.copytree(flown, folder)
-    for name, change in changes.items():
-        with Image.open(folder / name) as picture:
-            tags, pixels = change(read_tags(picture)), picture.convert("RGB")
-        exif, xmp = exif_block(tags, pixels.width, pixels.height), xmp_packet(tags)
-        pixels.save(folder / name, quality=95, exif=exif, xmp=xmp)
-    return folder
 
 
 def with_gps(flown: Path, folder: Path, name: str, gps: Mapping[int, object]) -> Path:

@@ -17,7 +17,15 @@ _CURES = {
     "gsplat": "pip install 'sightline-toolkit[cuda]'",
     "pyorbslam3": "pip install 'sightline-toolkit[slam]' (ORB-SLAM3's licence is the GPL 3.0)",
     "transformers": "pip install 'sightline-toolkit[transformers]'",
+    "optuna": "pip install 'sightline-toolkit[cluster]'",
+    "distributed": "pip install 'sightline-toolkit[cluster]'",
+    "mlflow": "pip install 'sightline-toolkit[mlflow]'",
     "moge": "pip install git+https://github.com/microsoft/MoGe.git",
+    "video_depth_anything": (
+        "git clone https://github.com/DepthAnything/Video-Depth-Anything.git, pip install its requirements.txt, and "
+        "name the checkout in PYTHONPATH"
+    ),
+    "huggingface_hub": "pip install 'sightline-toolkit[transformers]'",
     "pyproj": "pip install 'sightline-toolkit[geo]'",
     "panel": "pip install 'sightline-toolkit[ui]'",
     "ipywidgets": "pip install 'sightline-toolkit[ui]'",
@@ -41,5 +49,7 @@ def require(module: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise MissingDependencyError(
-            f"The package '{module}' cannot be imported", found=str(error), todo=f"Install it: {_CURES[module]}"
+            f"The package '{module}' cannot be imported",
+            found=str(error),
+            todo=f"Install it: {_CURES[module.partition('.')[0]]}",
         ) from error

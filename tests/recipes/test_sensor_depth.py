@@ -16,7 +16,14 @@ from toolkit.recipes import sensor_depth
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.presets import with_preset
 from toolkit.recipes.registry import find_recipe
-from toolkit.recipes.sensor_depth import SENSOR_DPT, SENSOR_GROUND, SensorDptSettings, SensorGroundSettings
+from toolkit.recipes.sensor_depth import (
+    SENSOR_DEPTH,
+    SENSOR_DPT,
+    SENSOR_GROUND,
+    SensorDptSettings,
+    SensorGroundSettings,
+    SensorOtherDepthSettings,
+)
 from toolkit.samples.make import SampleSettings, make_sample
 from toolkit.scene import Frame, PosePrior, Scene
 from toolkit.scene.dataset import capture_fingerprint
@@ -127,6 +134,33 @@ def test_depth_of_dpt_is_scaled_to_the_ground_and_becomes_points(
     points = result.metrics["sfm.points"]
     assert points is not None
     assert 100 < points <= 1500
+
+
+def test_depth_from_files_gives_points_under_a_name_of_its_own(
+    flight: RecipeInput, context: RecipeContext, tmp_path: Path
+) -> None:
+    files = tmp_path / "depths"
+    files.mkdir()
+    for frame in flight.scene.frames:
+        camera = flight.scene.camera_of(frame)
+        np.save(files / f"{Path(frame.name).stem}.npy", np.full((camera.height, camera.width), 40.0, np.float32))
+    settings = SensorOtherDepthSettings().replace({**QUICK, "depth.provider": "arrays", "depth.arrays": str(files)})
+    result = find_recipe("sensor-depth").run(flight, settings, context)
+    assert result.reports["depth"]["provider"] == "depth maps (metric) of depths"
+    points = result.metrics["sfm.points"]
+    assert points is not None
+    assert 100 < points <= 1500
+    assert result.metrics["depth.frames"] == sum(frame.split == "train" for frame in flight.scene.frames)
+    assert {time.name: time.reused for time in result.times}["depth"] is False
+    again = SENSOR_DEPTH.run(flight, settings, context)
+    assert {time.name: time.reused for time in again.times}["depth"] is True
+    np.save(next(files.iterdir()), np.full((72, 96), 41.0, np.float32))
+    elsewhere = tmp_path / "other checkpoint"
+    elsewhere.mkdir()
+    changed = SENSOR_DEPTH.run(flight, settings, dataclasses.replace(context, checkpoint=elsewhere))
+    assert {time.name: time.reused for time in changed.times}["depth"] is False, "another depth map came"
+    with pytest.raises(SettingsError, match=r"sensor-depth with another.*expected depth\.provider=moge or video"):
+        SENSOR_DEPTH.run(flight, SensorOtherDepthSettings().replace({"depth.provider": "ground"}), context)
 
 
 def test_another_source_of_depth_does_not_go_under_this_name(

@@ -21,6 +21,7 @@ from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput
 from toolkit.recipes.flight_video import film_of, scene_by_video
 from toolkit.recipes.presets import recipe_presets, with_preset
 from toolkit.recipes.registry import find_recipe
+from toolkit.recipes.sensor_fused import RECIPE as SENSOR_FUSED
 from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM, TRAJECTORIES
 from toolkit.samples.drone_flights import OrbitVideoSettings, make_drone_flight
 from toolkit.scene import Scene
@@ -143,6 +144,39 @@ def test_segments_merged_by_gps_are_in_the_metres_of_the_sensors(flight: RecipeI
         assert (again.reports["place"]["merged"] == {}) == (changes["segment"] == "last")
     with pytest.raises(StageError, match=r"at least 5000 positions"):
         ORB_PNP.run(flight, quick(ORB_PNP, segment="merge", **{"merge.min_positions": 5000}), context("few"))
+
+
+def test_what_slam_saw_joins_the_fused_sensors(flight: RecipeInput, context: Context) -> None:
+    quick_fused = {**QUICK, "slam.backend": "orb-pnp"}
+    tracked = ORB_PNP.run(flight, quick(ORB_PNP), context("tracked"))
+    # Half of the pictures have no position, and no gimbal angles: the sensors alone cannot place these.
+    frames = tuple(
+        dataclasses.replace(frame, prior=None) if number % 2 else frame
+        for number, frame in enumerate(flight.scene.frames)
+    )
+    scene = flight.scene.replace(frames=frames)
+    few = {**quick_fused, "slam.merge.min_positions": 3}
+    lacking = dataclasses.replace(flight, scene=scene)
+    joined = SENSOR_FUSED.run(lacking, SENSOR_FUSED.settings_type().replace(few), context("joined"))
+    times = {time.name: time.reused for time in joined.times}
+    assert list(times)[:5] == ["slam", "place", "features", "matches", "sensors"]
+    assert times["slam"], "the other method's run has tracked the video"
+    assert joined.metrics["slam.tracked"] == tracked.metrics["slam.tracked"]
+    missing = {frame.name for frame in frames if frame.prior is None}
+    posed = {frame.name for frame in joined.scene.registered}
+    assert missing <= posed
+    assert set(joined.reports["sensors"]["placed_by_start"]) == missing
+    assert joined.reports["sensors"]["placed_by_points"] == []
+    # The path is 31 m long, and five positions with 1.5 m an axis place it.
+    off = joined.metrics["poses.none.pos"]
+    assert off is not None
+    assert off < 3.0
+    with pytest.raises(DataError, match=r"needs a video"):
+        SENSOR_FUSED.run(
+            dataclasses.replace(flight, video=None),
+            SENSOR_FUSED.settings_type().replace(quick_fused),
+            context("photos"),
+        )
 
 
 def test_a_video_of_which_nothing_was_tracked_is_tried_again(

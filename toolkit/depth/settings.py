@@ -51,14 +51,14 @@ class DepthSettings(Settings):
 
     provider = Choice(
         "transformers",
-        choices=("transformers", "moge", "arrays", "ground"),
-        doc="transformers: DPT or Depth Anything; moge: MoGe; arrays: depth maps from files; ground: a "
-        "horizontal plane under the sensor poses.",
+        choices=("transformers", "moge", "video", "arrays", "ground"),
+        doc="transformers: DPT or Depth Anything; moge: MoGe; video: Video Depth Anything, on the frames of a "
+        "sequence together; arrays: depth maps from files; ground: a horizontal plane under the sensor poses.",
     )
     weights = Text(
         "",
         doc="Folder of the network, or its name on the Hugging Face hub. Empty: Intel/dpt-large (transformers), "
-        "Ruicheng/moge-2-vitl or Ruicheng/moge-vitl (moge).",
+        "Ruicheng/moge-2-vitl or Ruicheng/moge-vitl (moge), depth-anything/Video-Depth-Anything-Small (video).",
     )
     download = Boolean(False, doc="Fetch missing weights from the hub.")
     device = Choice("cpu", choices=("cpu", "cuda"), doc="Where a network computes.")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,27 +17,23 @@ from numpy.typing import NDArray
 
 from toolkit.errors import StageError
 from toolkit.files import disk_errors
-from toolkit.geometry.alignment import align_poses
 from toolkit.geometry.cameras import ColmapCamera
-from toolkit.geometry.rigid import RigidTransform, rotation_angle
+from toolkit.geometry.rigid import RigidTransform
 from toolkit.matching.colmap_job import run_colmap
 from toolkit.matching.database import copy_database, require_same_frames
 from toolkit.poses.adjust import AdjustmentReport
-from toolkit.poses.resection import Resection
 from toolkit.poses.sensor_biases import SensorBiases, estimate_biases
 from toolkit.poses.sensor_heading import with_heading_taken
+from toolkit.poses.sensor_outcome import drop_unsupported, require_positions, residuals, settle_line
 from toolkit.poses.sensor_pixels import PixelCheck, check_pixels
 from toolkit.poses.sensor_refine import Refinement, SensorSfmSettings
 from toolkit.poses.sensors import SensorPoses, sensor_poses, some
 from toolkit.poses.sfm_failure import check_matches
 from toolkit.poses.square_pixels import with_models_of, with_one_focal
 from toolkit.progress import Progress, silent
-from toolkit.scene import Frame, Scene, scene_from_pycolmap
+from toolkit.scene import Scene, scene_from_pycolmap
 
 Array = NDArray[np.float64]
-
-# Positions that leave a line by less than this many standard deviations leave the turn about it open.
-_LINE_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +50,8 @@ class SensorSfmResult:
         What the pictures said of the sensors.
     placed_by_points:
         Names of frames without position or attitude that the points gave a pose.
+    placed_by_start:
+        Names of such frames that began with a pose from elsewhere.
     not_placed:
         Why frames have no pose, by their names.
     rounds:
@@ -75,6 +72,7 @@ class SensorSfmResult:
     sensors: SensorPoses
     pixels: PixelCheck
     placed_by_points: tuple[str, ...]
+    placed_by_start: tuple[str, ...]
     not_placed: Mapping[str, str]
     rounds: tuple[AdjustmentReport, ...]
     biases: SensorBiases
@@ -91,6 +89,7 @@ class SensorSfmResult:
             "images": len(self.scene),
             "registered": len(self.scene.registered),
             "placed_by_points": list(self.placed_by_points),
+            "placed_by_start": list(self.placed_by_start),
             "not_placed": dict(self.not_placed),
             "points": 0 if self.scene.points is None else len(self.scene.points),
             "mean_track_length": self.mean_track_length,
@@ -111,6 +110,7 @@ def sensor_sfm(
     database_path: Path,
     settings: SensorSfmSettings,
     *,
+    start_poses: Mapping[str, RigidTransform] | None = None,
     seed: int = 0,
     progress: Progress = silent,
     work_dir: Path,
@@ -129,6 +129,10 @@ def sensor_sfm(
         With features and verified matches. It is only read.
     settings:
         As declared.
+    start_poses:
+        By frame name, poses in the scene's own frame from which the rounds begin in place of the sensors': what
+        SLAM found, joined with GPS. Readings stay what they are: positions hold the result, and all show the
+        sensors' errors.
     seed:
         Of every random choice.
     progress:
@@ -165,19 +169,23 @@ def sensor_sfm(
         trusted = with_one_focal(started, copy) if settings.square_pixels else started
         trusted = _without_readings(trusted, contradicted)
         trusted = _without_guesses(trusted, sensors.from_flight_line)
+        trusted = _with_poses(trusted, start_poses or {})
         _require_two(trusted, contradicted, pixels)
         turns = pixels.turns if settings.correct_turns else {}
         job = Refinement(trusted, copy, settings, seed, turns)
         model = run_colmap(job.run, job.event, progress, copy)
     refined = time.perf_counter()
-    turned_about_line = _settle_line(model, job.scene, guessed=sensors.from_flight_line)
+    turned_about_line = settle_line(model, job.scene, guessed=sensors.from_flight_line)
     unusable = {
         **dict.fromkeys(sensors.no_attitude, "no gimbal attitude"),
         **dict.fromkeys(sensors.in_turn, "taken in a turn, where the flight does not tell the attitude"),
         **dict.fromkeys(sensors.no_position, "no GPS position"),
         **{name: f"the pictures contradict its {reading}" for name, reading in contradicted.items()},
     }
-    not_placed = _drop_unsupported(model, sensors.scene, unusable, job.others, settings.min_points)
+    by_start = [name for name in unusable if name in (start_poses or {})]
+    for name in by_start:
+        unusable.pop(name)
+    not_placed = drop_unsupported(model, sensors.scene, unusable, job.others, settings.min_points)
     found = with_models_of(scene_from_pycolmap(model, scene.image_dir, like=sensors.scene), started)
     if len(found.registered) < 2:
         raise StageError(
@@ -186,7 +194,8 @@ def sensor_sfm(
             found="; ".join(f"{name}: {why}" for name, why in list(not_placed.items())[:3]),
             todo="Look at the warnings of the readings, raise first_error, or use colmap-3dgs",
         )
-    position, rotation = _residuals(found)
+    position, rotation = residuals(found)
+    require_positions(found, position)
     read = _without_guesses(_without_readings(found, contradicted, keep_pose=True), sensors.from_flight_line)
     biases = estimate_biases(read, turns=turns)
     return SensorSfmResult(
@@ -194,6 +203,7 @@ def sensor_sfm(
         sensors=sensors,
         pixels=pixels,
         placed_by_points=tuple(name for name in job.others.placed if name not in not_placed),
+        placed_by_start=tuple(name for name in by_start if name not in not_placed),
         not_placed=not_placed,
         rounds=tuple(job.reports),
         biases=biases,
@@ -225,6 +235,15 @@ def _with_heading_taken(scene: Scene, degrees: float) -> Scene:
         frame
         if frame.cam_from_world is None
         else dataclasses.replace(frame, cam_from_world=with_heading_taken(frame.cam_from_world, degrees))
+        for frame in scene.frames
+    )
+    return scene.replace(frames=tuple(frames))
+
+
+def _with_poses(scene: Scene, poses: Mapping[str, RigidTransform]) -> Scene:
+    """Return the scene with these poses in place of its own; readings stay."""
+    frames = (
+        dataclasses.replace(frame, cam_from_world=poses.get(frame.name, frame.cam_from_world))
         for frame in scene.frames
     )
     return scene.replace(frames=tuple(frames))
@@ -267,63 +286,6 @@ def _without_guesses(scene: Scene, names: Iterable[str]) -> Scene:
     )
 
 
-def _poses(model: pycolmap.Reconstruction) -> dict[int, RigidTransform]:
-    poses = {}
-    for image_id in sorted(model.reg_image_ids()):
-        poses[image_id] = RigidTransform.from_matrix(model.image(image_id).cam_from_world().matrix())
-    return poses
-
-
-def _settle_line(model: pycolmap.Reconstruction, trusted: Scene, *, guessed: Sequence[str]) -> tuple[str, ...]:
-    """Turn a reconstruction whose cameras lie on a line about it, by the attitudes: positions leave that open."""
-    pairs = []
-    for image_id, pose in _poses(model).items():
-        by_sensors = _by_sensors(trusted.frames[image_id - 1])
-        if by_sensors is not None:
-            pairs.append((pose, by_sensors))
-    if len(pairs) < 2:
-        return ()
-    found, targets = ([pair[side] for pair in pairs] for side in (0, 1))
-    centres = np.array([pose.centre for pose in targets])
-    across = np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(centres))
-    priors = [frame.prior for frame in trusted.registered]
-    sigmas = [prior.position_sigma for prior in priors if prior is not None and prior.position_sigma is not None]
-    if across > _LINE_SIGMAS * float(np.median(sigmas)):
-        return ()
-    similarity = align_poses(found, targets, with_scale=True)
-    model.transform(
-        pycolmap.Sim3d(similarity.scale, pycolmap.Rotation3d(similarity.rotation), similarity.translation)
-    )
-    return (
-        f"the positions lie on a line (to {across:.1f} m): the turn about it was taken from "
-        + ("the assumed tilt of the camera" if guessed else "the gimbal")
-        + ", and focal length and height are hardly told apart",
-    )
-
-
-def _by_sensors(frame: Frame) -> RigidTransform | None:
-    """Return the pose by the readings, at the corrected position."""
-    start, prior = frame.cam_from_world, frame.prior
-    if start is None or prior is None or prior.position is None:
-        return start
-    return RigidTransform(start.rotation, -start.rotation @ prior.position)
-
-
-def _drop_unsupported(
-    model: pycolmap.Reconstruction, sensors: Scene, unusable: Mapping[str, str], others: Resection, least: int
-) -> dict[str, str]:
-    """Take the pose of frames that see too few points, and return why frames have none."""
-    reasons = {name: why for name, why in unusable.items() if name not in others.placed}
-    reasons |= {name: f"{reasons[name]}; {why}" for name, why in others.reasons.items()}
-    manager = pycolmap.ObservationManager(model)
-    for image_id in sorted(model.reg_image_ids()):
-        image = model.image(image_id)
-        if image.num_points3D < least:
-            reasons[image.name] = f"sees {image.num_points3D} points of {least} needed"
-            manager.deregister_frame(image.frame_id)
-    return {frame.name: reasons[frame.name] for frame in sensors.frames if frame.name in reasons}
-
-
 def _focal_warning(last: AdjustmentReport) -> Sequence[str]:
     if last.focal != "not determined":
         return ()
@@ -337,13 +299,3 @@ def _focal_warning(last: AdjustmentReport) -> Sequence[str]:
 def _lost(not_placed: Mapping[str, str], unusable: Mapping[str, str]) -> Sequence[str]:
     lost = [name for name in not_placed if name not in unusable]
     return [f"{len(lost)} photos lost their pose because they see too few points: {some(lost)}"] if lost else []
-
-
-def _residuals(scene: Scene) -> tuple[dict[str, float], dict[str, float]]:
-    position, rotation = {}, {}
-    for frame in scene.registered:
-        pose, prior = frame.cam_from_world, frame.prior
-        if pose is not None and prior is not None and prior.position is not None and prior.rotation is not None:
-            position[frame.name] = float(np.linalg.norm(pose.centre - prior.position))
-            rotation[frame.name] = math.degrees(rotation_angle(pose.rotation @ prior.rotation.T))
-    return position, rotation

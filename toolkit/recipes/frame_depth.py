@@ -16,7 +16,7 @@ from toolkit.poses.sensors import SensorPoseSettings, sensor_poses
 from toolkit.scene import Frame, Scene
 
 #: Those that the papers mean; what else gives depth is reported as a substitute.
-NETWORKS: Final = ("transformers", "moge")
+NETWORKS: Final = ("transformers", "moge", "video")
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from toolkit import depth as depth_room
 from toolkit import splat
+from toolkit.depth.providers import source_files
 from toolkit.depth.settings import DepthSettings
 from toolkit.errors import StageError
 from toolkit.metrics.lpips import Lpips
@@ -112,6 +113,7 @@ def _chain_stage(
         inputs={
             "flatten": flat.output.key,
             "depth": settings.depth.to_dict() if depth is not None else source,
+            "depth files": source_files(settings.depth) if depth is not None else {},
             "train": {name: value for name, value in settings.train.to_dict().items() if _chain_reads(name)},
         },
         settings=settings.chain,

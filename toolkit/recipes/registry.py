@@ -14,13 +14,13 @@ def all_recipes() -> dict[str, Recipe]:
     from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
     from toolkit.recipes.noposegs import RECIPE as NOPOSEGS
     from toolkit.recipes.sensor_3dgs import RECIPE as SENSOR_3DGS
-    from toolkit.recipes.sensor_depth import SENSOR_DPT, SENSOR_GROUND
+    from toolkit.recipes.sensor_depth import SENSOR_DEPTH, SENSOR_DPT, SENSOR_GROUND
     from toolkit.recipes.sensor_fused import RECIPE as SENSOR_FUSED
     from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM
 
     recipes = (
         *(COLMAP_3DGS, CF_3DGS, NOPOSEGS, ORBSLAM, ORB_PNP),
-        *(SENSOR_DPT, SENSOR_GROUND, SENSOR_3DGS, SENSOR_FUSED),
+        *(SENSOR_DPT, SENSOR_DEPTH, SENSOR_GROUND, SENSOR_3DGS, SENSOR_FUSED),
     )
     return {recipe.name: recipe for recipe in recipes}
 

@@ -63,11 +63,20 @@ def run(data: RecipeInput, settings: Sensor3dgsSettings, context: RecipeContext)
     return train_and_measure(data, sensor_stages(data, settings, context), settings.train, context, lpips)
 
 
-def sensor_stages(data: RecipeInput, settings: SensorStageSettings, context: RecipeContext) -> PosedStages:
-    """Return the stages features, matches and sensors, each taken from the workspace where it is there."""
+def sensor_stages(
+    data: RecipeInput,
+    settings: SensorStageSettings,
+    context: RecipeContext,
+    *,
+    start: CachedStage | None = None,
+) -> PosedStages:
+    """Return the stages features, matches and sensors, each taken from the workspace where it is there.
+
+    ``start`` wrote a scene with poses from which the refinement begins, where it has them.
+    """
     sensor_poses(data.scene, settings.sensors)  # what is missing is told before features are extracted
     features, matches = features_and_matches(data, settings.sift, settings.pairs, settings.match, context)
-    posed = _sensor_stage(data, settings, matches, context)
+    posed = _sensor_stage(data, settings, matches, start, context)
     for warning in posed.report["warnings"]:
         context.progress(ProgressEvent("sensors", 1, 1, warning))
     scene = read_scene(posed.folder / SCENE)
@@ -82,13 +91,19 @@ def sensor_stages(data: RecipeInput, settings: SensorStageSettings, context: Rec
 
 
 def _sensor_stage(
-    data: RecipeInput, settings: SensorStageSettings, matches: CachedStage, context: RecipeContext
+    data: RecipeInput,
+    settings: SensorStageSettings,
+    matches: CachedStage,
+    start: CachedStage | None,
+    context: RecipeContext,
 ) -> CachedStage:
     def poses_into(folder: Path) -> dict[str, Any]:
+        begun = () if start is None else read_scene(start.folder / SCENE).registered
         found = sensor_sfm(
             data.scene,
             matches.folder / DATABASE,
             settings.sensors,
+            start_poses={frame.name: frame.cam_from_world for frame in begun if frame.cam_from_world is not None},
             seed=context.seed,
             progress=context.progress,
             work_dir=folder / "work",
@@ -99,7 +114,10 @@ def _sensor_stage(
     return cached_stage(
         context,
         "sensors",
-        inputs={"matches": matches.output.key},
+        inputs={
+            "matches": matches.output.key,
+            **({} if start is None else {start.time.name: start.output.key}),
+        },
         settings=settings.sensors,
         code=(matching, poses),
         build=poses_into,

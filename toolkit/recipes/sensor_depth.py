@@ -1,4 +1,4 @@
-"""Sensor-DPT of the drone paper (A-3DGS, section 3.2.2), and the same with the ground plane in place of a network.
+"""Sensor-DPT of the drone paper (A-3DGS, section 3.2.2), and the same with other sources of depth.
 
 Poses are taken from GPS and gimbal as they are. No photo is matched with another: points come from the depth of
 single photos, and training refines the poses. NoposeGS scales its scene to the unit cube first, because its
@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from toolkit import depth, poses
 from toolkit.depth.monocular import MonocularDepth
-from toolkit.depth.providers import depth_provider
+from toolkit.depth.providers import depth_provider, source_files
 from toolkit.depth.settings import DepthSettings
 from toolkit.depth.unproject import unproject_depth
 from toolkit.errors import SettingsError
@@ -32,7 +32,7 @@ from toolkit.splat.train_settings import TrainSettings
 
 
 class SensorDepthSettings(Protocol):
-    """What both recipes have in common."""
+    """What these recipes have in common."""
 
     sensors: SensorPoseSettings
     depth: DepthSettings
@@ -47,6 +47,16 @@ class SensorDptSettings(Settings):
     train = Group(pose_preset_settings("poses-short"), doc="Gaussian splats and refined poses")
 
 
+class SensorOtherDepthSettings(Settings):
+    """Settings of every stage of sensor poses with points from any network's depth, or from files."""
+
+    sensors = Group(SensorPoseSettings(), doc="Poses from GPS and gimbal")
+    depth = Group(
+        DepthSettings(provider="moge"), doc="Depth of single photos or of the sequence, and points from it"
+    )
+    train = Group(pose_preset_settings("poses-short"), doc="Gaussian splats and refined poses")
+
+
 class SensorGroundSettings(Settings):
     """Settings of every stage of sensor poses with points on the ground plane."""
 
@@ -58,6 +68,12 @@ class SensorGroundSettings(Settings):
 def run_dpt(data: RecipeInput, settings: SensorDptSettings, context: RecipeContext) -> RecipeResult:
     """Take poses from GPS and gimbal and points from DPT's depth, then train a splat that refines the poses."""
     _check_provider(settings.depth, "sensor-dpt", "transformers")
+    return _run(data, settings, context, "dpt")
+
+
+def run_depth(data: RecipeInput, settings: SensorOtherDepthSettings, context: RecipeContext) -> RecipeResult:
+    """Take poses from GPS and gimbal and points from the depth that the settings name, then train and refine."""
+    _check_provider(settings.depth, "sensor-depth", "moge", "video", "transformers", "arrays")
     return _run(data, settings, context)
 
 
@@ -67,22 +83,24 @@ def run_ground(data: RecipeInput, settings: SensorGroundSettings, context: Recip
     return _run(data, settings, context)
 
 
-def _check_provider(settings: DepthSettings, recipe: str, provider: str) -> None:
-    if settings.provider != provider:
+def _check_provider(settings: DepthSettings, recipe: str, *providers: str) -> None:
+    if settings.provider not in providers:
         raise SettingsError(
             f"A run of {recipe} with another source of depth would carry a wrong name",
-            expected=f"depth.provider={provider}",
+            expected=f"depth.provider={' or '.join(providers)}",
             found=f"depth.provider={settings.provider}",
         )
 
 
-def _run(data: RecipeInput, settings: SensorDepthSettings, context: RecipeContext) -> RecipeResult:
+def _run(
+    data: RecipeInput, settings: SensorDepthSettings, context: RecipeContext, network: str = ""
+) -> RecipeResult:
     # Weights that are missing, of the network or of LPIPS, are told before anything else.
     start = time.perf_counter()
     provider = depth_provider(settings.depth)
     loading = time.perf_counter() - start
-    if settings.depth.provider == "transformers" and not provider.name.startswith("dpt "):
-        raise SettingsError("sensor-dpt takes networks of the type DPT only", expected="dpt", found=provider.name)
+    if network and provider.name.partition(" ")[0] != network:
+        raise SettingsError("sensor-dpt takes networks of the type DPT only", expected=network, found=provider.name)
     lpips = Lpips()
     placed = _sensor_stage(data, settings.sensors, context)
     for warning in placed.report["warnings"]:
@@ -130,7 +148,7 @@ def _depth_stage(
     return cached_stage(
         context,
         "depth",
-        inputs={"sensors": placed.output.key, "provider": provider.name},
+        inputs={"sensors": placed.output.key, "provider": provider.name, "files": source_files(settings)},
         settings=settings,
         code=(depth,),
         build=points_into,
@@ -154,6 +172,19 @@ SENSOR_DPT = Recipe(
     ),
     settings_type=SensorDptSettings,
     run=run_dpt,
+)
+
+SENSOR_DEPTH = Recipe(
+    name="sensor-depth",
+    title="Sensor poses, depth of any network",
+    paper="",
+    description=(
+        "As Sensor-DPT with another source of depth, which the result names: MoGe or Video Depth Anything, of "
+        "which the paper hopes for depth that agrees between photos, Depth Anything, or depth maps from files "
+        f"(depth.provider). Needs the network's weights or the files. {_NEEDS}"
+    ),
+    settings_type=SensorOtherDepthSettings,
+    run=run_depth,
 )
 
 SENSOR_GROUND = Recipe(

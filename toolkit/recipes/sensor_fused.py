@@ -8,16 +8,48 @@ from __future__ import annotations
 
 from typing import Any
 
+from toolkit.capture.frames import PictureSettings
 from toolkit.matching.features import SiftSettings
 from toolkit.matching.match import MatchSettings
 from toolkit.matching.pairs import PairSettings
 from toolkit.metrics.lpips import Lpips
 from toolkit.poses.sensor_refine import SensorSfmSettings
+from toolkit.poses.slam.merge import MergeSettings
+from toolkit.poses.slam.orb_pnp import OrbPnpSettings
+from toolkit.poses.slam.orbslam3 import OrbSlam3Settings
+from toolkit.poses.slam.vocabulary import VocabularySettings
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
+from toolkit.recipes.cached import CachedStage
+from toolkit.recipes.flight_video import film_of
 from toolkit.recipes.sensor_3dgs import sensor_stages
-from toolkit.recipes.steps import train_and_measure
-from toolkit.settings import Group, Settings
+from toolkit.recipes.slam_stages import orb_pnp_tracker, orbslam3_tracker, place_stage, slam_metrics, track_stage
+from toolkit.recipes.steps import PosedStages, train_and_measure
+from toolkit.settings import Choice, Group, Integer, Settings, Text
 from toolkit.splat.train_settings import TrainSettings
+
+
+class SlamJoinSettings(Settings):
+    """Whether and how the relative motion that SLAM sees joins the sensors."""
+
+    backend = Choice(
+        "none",
+        choices=("none", "orb-pnp", "orbslam3"),
+        doc="SLAM over the flight's video, joined with GPS in a pose graph: the refinement begins with its poses "
+        "in place of the gimbal's. For flights whose attitudes or positions are bad or missing; it costs the time "
+        "of the whole video, but for one that another method's run has tracked already.",
+    )
+    pictures = Group(PictureSettings(), doc="How the video's frames are written for SLAM")
+    orb_pnp = Group(OrbPnpSettings(), doc="Our own SLAM (slam.backend=orb-pnp)")
+    orbslam3 = Group(OrbSlam3Settings(), doc="ORB-SLAM3 (slam.backend=orbslam3)")
+    vocabulary = Text(
+        "",
+        doc="File of visual words for ORB-SLAM3 (toolkit vocabulary); empty: trained from the flight's own frames.",
+    )
+    words = Group(VocabularySettings(), doc="Training of the visual words, where no file is given")
+    word_frames = Integer(
+        200, bounds=(1, 100_000), unit="frames", doc="Most frames of the video that words are trained from, evenly."
+    )
+    merge = Group(MergeSettings(), doc="How GPS joins and places what was tracked")
 
 
 class SensorFusedSettings(Settings):
@@ -35,6 +67,7 @@ class SensorFusedSettings(Settings):
     sift = Group(SiftSettings(first_octave=0, max_features=2048), doc="Features")
     pairs = Group(PairSettings(method="sensor", neighbours=6, reach=4.0), doc="Which photos are matched with which")
     match = Group(MatchSettings(), doc="Matching and geometric verification")
+    slam = Group(SlamJoinSettings(), doc="Relative motion from SLAM")
     sensors = Group(
         SensorSfmSettings(attitude="auto"),
         doc="Poses from GPS and gimbal, refined by the pictures, and their biases",
@@ -56,9 +89,26 @@ class SensorFusedSettings(Settings):
 def run(data: RecipeInput, settings: SensorFusedSettings, context: RecipeContext) -> RecipeResult:
     """Take poses from GPS and gimbal, find what is wrong with them by matches, then train a splat on them."""
     lpips = Lpips()
-    posed = sensor_stages(data, settings, context)
-    posed.metrics.update(bias_metrics(posed.stages[-1].report["biases"]))
-    return train_and_measure(data, posed, settings.train, context, lpips)
+    before, motion = _slam_stages(data, settings.slam, context)
+    posed = sensor_stages(data, settings, context, start=before[-1] if before else None)
+    metrics = {**motion, **posed.metrics, **bias_metrics(posed.stages[-1].report["biases"])}
+    return train_and_measure(data, PosedStages((*before, *posed.stages), metrics), settings.train, context, lpips)
+
+
+def _slam_stages(
+    data: RecipeInput, settings: SlamJoinSettings, context: RecipeContext
+) -> tuple[tuple[CachedStage, ...], dict[str, float | None]]:
+    """Return the stages that track the flight's video and place it by GPS, with their measures."""
+    if settings.backend == "none":
+        return (), {}
+    film = film_of(data)
+    if settings.backend == "orbslam3":
+        tracker = orbslam3_tracker(film, settings.orbslam3, settings, context)
+    else:
+        tracker = orb_pnp_tracker(settings.orb_pnp)
+    tracked = track_stage(data, film, tracker, settings.pictures, context)
+    placed = place_stage(data, tracked, "merge", settings.merge, context)
+    return (*tracker.before, tracked, placed), slam_metrics(tracked, placed)
 
 
 def bias_metrics(biases: dict[str, Any]) -> dict[str, float | None]:
@@ -90,7 +140,8 @@ RECIPE = Recipe(
         "Camera poses from GPS and gimbal choose which photos are matched, by position and view; matches under "
         "these poses give points, an adjustment with the GPS as prior, and the sensors' constant errors (heading, "
         "boresight, time offset). Photos without gimbal angles get them from the direction of flight; photos "
-        "without GPS, or with a wrong one, are placed by their matches. The result is in metres, east-north-up."
+        "without GPS, or with a wrong one, are placed by their matches. Where the flight's video is there, SLAM's "
+        "relative motion can join in (slam.backend). The result is in metres, east-north-up."
     ),
     settings_type=SensorFusedSettings,
     run=run,

@@ -8,48 +8,39 @@ triangulated under these poses, and training refines them.
 from __future__ import annotations
 
 import shutil
-import tempfile
-import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from toolkit import capture, matching, poses
-from toolkit.capture.frames import PictureSettings, video_frames
-from toolkit.files import disk_errors, read_json, write_json
+from toolkit import matching, poses
+from toolkit.capture.frames import PictureSettings
+from toolkit.files import disk_errors
 from toolkit.metrics.lpips import Lpips
-from toolkit.optional import require
 from toolkit.poses.slam.merge import MergeSettings
-from toolkit.poses.slam.orb_pnp import OrbPnp, OrbPnpSettings
-from toolkit.poses.slam.orbslam3 import OrbSlam3, OrbSlam3Settings
-from toolkit.poses.slam.place import Placing
+from toolkit.poses.slam.orb_pnp import OrbPnpSettings
+from toolkit.poses.slam.orbslam3 import OrbSlam3Settings
 from toolkit.poses.slam.points import SlamPointSettings, slam_points
-from toolkit.poses.slam.result import SlamBackend
-from toolkit.poses.slam.result_files import frames_file, read_result, write_result
-from toolkit.poses.slam.segments import choose_segment
-from toolkit.poses.slam.vocabulary import VocabularySettings, train_vocabulary
-from toolkit.poses.slam.vocabulary_file import check_vocabulary
-from toolkit.recipes import flight_video
+from toolkit.poses.slam.result_files import frames_file
+from toolkit.poses.slam.vocabulary import VocabularySettings
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
 from toolkit.recipes.cached import CachedStage, cached_stage
-from toolkit.recipes.flight_video import Film, film_of, scene_by_video
+from toolkit.recipes.flight_video import Film, film_of
+from toolkit.recipes.slam_stages import (
+    SEGMENTS,
+    Tracker,
+    orb_pnp_tracker,
+    orbslam3_tracker,
+    place_stage,
+    slam_metrics,
+    track_stage,
+)
 from toolkit.recipes.steps import SCENE, PosedStages, sfm_metrics, train_and_measure
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.settings import Choice, Group, Integer, Settings, Text
 from toolkit.splat.pose_presets import pose_preset_settings
-from toolkit.workspace import file_fingerprint
 
 TRAJECTORIES = "slam_trajectories"
 """Among the artifacts: a file for each segment that was taken, with the poses of all its frames by their times in
 the video, in the segment's own world."""
-
-# What stage slam keeps: all segments, and the times of the video's frames.
-_SEGMENTS = "segments"
-_TIMES = "times.json"
-_VOCABULARY = "words.txt"
-_WORK = "slam"
 
 
 class SlamNoposegsSettings(Settings):
@@ -92,174 +83,36 @@ def run_orbslam3(data: RecipeInput, settings: OrbslamNoposegsSettings, context: 
     """Track the video with ORB-SLAM3, triangulate points, then train a splat that refines the poses."""
     lpips = Lpips()
     film = film_of(data)
-    require("pyorbslam3")
-    words = Path(settings.vocabulary)
-    before: tuple[CachedStage, ...] = ()
-    if settings.vocabulary:
-        check_vocabulary(words)
-    else:
-        trained = _vocabulary_stage(film, settings, context)
-        words, before = trained.folder / _VOCABULARY, (trained,)
-    backend = OrbSlam3(words, settings.slam)
-    stages, metrics = _slam_stages(
-        data, film, backend, settings, settings.slam, {"vocabulary": file_fingerprint(words)}, context
+    tracker = orbslam3_tracker(film, settings.slam, settings, context)
+    return train_and_measure(
+        data, _slam_stages(data, film, tracker, settings, context), settings.train, context, lpips
     )
-    return train_and_measure(data, PosedStages((*before, *stages), metrics), settings.train, context, lpips)
 
 
 def run_orb_pnp(data: RecipeInput, settings: OrbPnpNoposegsSettings, context: RecipeContext) -> RecipeResult:
     """Track the video with the SLAM of our own, triangulate points, then train a splat that refines the poses."""
     lpips = Lpips()
-    film = film_of(data)
-    stages, metrics = _slam_stages(data, film, OrbPnp(settings.slam), settings, settings.slam, {}, context)
-    return train_and_measure(data, PosedStages(stages, metrics), settings.train, context, lpips)
-
-
-def _vocabulary_stage(film: Film, settings: OrbslamNoposegsSettings, context: RecipeContext) -> CachedStage:
-    """Return the stage that trains visual words from frames of the video."""
-    numbers = np.unique(np.linspace(0, film.frames - 1, min(settings.word_frames, film.frames)).round().astype(int))
-
-    def words_into(folder: Path) -> dict[str, Any]:
-        with tempfile.TemporaryDirectory(dir=folder) as decoded:
-            frames = video_frames(
-                film.path, Path(decoded) / "frames", settings.pictures, numbers=numbers, progress=context.progress
-            )
-            report = train_vocabulary(
-                [frames.folder / name for name in frames.names],
-                folder / _VOCABULARY,
-                settings.words,
-                seed=context.seed,
-                progress=context.progress,
-            )
-        return report.to_dict()
-
-    return cached_stage(
-        context,
-        "vocabulary",
-        inputs={
-            "video": file_fingerprint(film.path),
-            "frames": numbers.tolist(),
-            "pictures": settings.pictures.to_dict(),
-        },
-        settings=settings.words,
-        code=(capture, poses),
-        build=words_into,
-    )
+    posed = _slam_stages(data, film_of(data), orb_pnp_tracker(settings.slam), settings, context)
+    return train_and_measure(data, posed, settings.train, context, lpips)
 
 
 def _slam_stages(
-    data: RecipeInput,
-    film: Film,
-    backend: SlamBackend,
-    settings: SlamNoposegsSettings,
-    own: Settings,
-    inputs: Mapping[str, str],
-    context: RecipeContext,
-) -> tuple[tuple[CachedStage, CachedStage, CachedStage], dict[str, float | None]]:
-    """Return the stages slam, place and points with their measures, and copy the trajectory to the artifacts.
-
-    ``own`` are the backend's settings, ``inputs`` what else its result depends on.
-    """
-    tracked = _track_stage(data, film, backend, settings, own, inputs, context)
-    placed = _place_stage(data, tracked, settings, context)
+    data: RecipeInput, film: Film, tracker: Tracker, settings: SlamNoposegsSettings, context: RecipeContext
+) -> PosedStages:
+    """Return the stages up to points under SLAM's poses, and copy the trajectory to the artifacts."""
+    tracked = track_stage(data, film, tracker, settings.pictures, context)
+    placed = place_stage(data, tracked, settings.segment, settings.merge, context)
     trajectories = context.artifacts / TRAJECTORIES
     with disk_errors(context.artifacts, "writing"):
         trajectories.mkdir(exist_ok=True)
         for number in placed.report["chosen"]:
-            shutil.copyfile(tracked.folder / _SEGMENTS / frames_file(number), trajectories / frames_file(number))
+            shutil.copyfile(tracked.folder / SEGMENTS / frames_file(number), trajectories / frames_file(number))
     pointed = _points_stage(placed, settings.points, context)
-    report = tracked.report
-    metrics: dict[str, float | None] = {
+    metrics = {
         **sfm_metrics(read_scene(pointed.folder / SCENE), pointed.report),
-        "slam.segments": float(len(report["segments"])),
-        "slam.keyframes": float(sum(report["segments"][i]["keyframes"] for i in placed.report["chosen"])),
-        "slam.tracked": float(placed.report["images_tracked"]),
-        "slam.frame_ms": report["frame_ms_median"],
+        **slam_metrics(tracked, placed),
     }
-    return (tracked, placed, pointed), metrics
-
-
-def _track_stage(
-    data: RecipeInput,
-    film: Film,
-    backend: SlamBackend,
-    settings: SlamNoposegsSettings,
-    own: Settings,
-    inputs: Mapping[str, str],
-    context: RecipeContext,
-) -> CachedStage:
-    """Return the stage that tracks the video; it keeps all segments, so that each choice of them finds it done."""
-    work = context.artifacts / _WORK
-
-    def poses_into(folder: Path) -> dict[str, Any]:
-        # Among the artifacts, so that the log of a backend that crashed is still there.
-        with disk_errors(work, "preparing"):
-            shutil.rmtree(work, ignore_errors=True)
-            work.mkdir(parents=True)
-        start = time.perf_counter()
-        with tempfile.TemporaryDirectory(dir=folder) as decoded:
-            frames = video_frames(film.path, Path(decoded) / "frames", settings.pictures, progress=context.progress)
-            decoding = time.perf_counter() - start
-            pictures = [frames.folder / name for name in frames.names]
-            result = backend.track(
-                pictures, frames.times, film.camera, seed=context.seed, progress=context.progress, work_dir=work
-            )
-        if not any(work.iterdir()):
-            work.rmdir()
-        # Raises where there is no segment: that is not kept, because another run may find some.
-        choose_segment(result)
-        write_result(result, folder / _SEGMENTS)
-        write_json(folder / _TIMES, frames.times.tolist())
-        return {**result.to_dict(), "decoding_seconds": decoding}
-
-    return cached_stage(
-        context,
-        "slam",
-        inputs={
-            "capture": data.fingerprint,
-            "video": file_fingerprint(film.path),
-            "backend": backend.name,
-            "pictures": settings.pictures.to_dict(),
-            **inputs,
-        },
-        settings=own,
-        code=(capture, poses),
-        build=poses_into,
-    )
-
-
-def _place_stage(
-    data: RecipeInput, tracked: CachedStage, settings: SlamNoposegsSettings, context: RecipeContext
-) -> CachedStage:
-    """Return the stage that gives the pictures the poses of the segments that are chosen."""
-    how: Placing = settings.segment
-
-    def scene_into(folder: Path) -> dict[str, Any]:
-        placed = scene_by_video(
-            data.scene,
-            read_result(tracked.folder / _SEGMENTS),
-            how,
-            np.array(read_json(tracked.folder / _TIMES)),
-            settings=settings.merge,
-            seed=context.seed,
-            progress=context.progress,
-        )
-        write_scene(placed.scene, folder / SCENE)
-        return {
-            "chosen": list(placed.segments),
-            "merged": placed.merged,
-            "images": len(placed.scene),
-            "images_tracked": len(placed.scene.registered),
-        }
-
-    return cached_stage(
-        context,
-        "place",
-        inputs={"slam": tracked.output.key, "segment": how},
-        settings=settings.merge,
-        code=(poses, flight_video),
-        build=scene_into,
-    )
+    return PosedStages((*tracker.before, tracked, placed, pointed), metrics)
 
 
 def _points_stage(placed: CachedStage, settings: SlamPointSettings, context: RecipeContext) -> CachedStage:

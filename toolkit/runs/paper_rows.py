@@ -202,6 +202,13 @@ ROWS = (
     PaperRow("sensor-ground", "Sensor poses, ground plane", "sensor-ground", needs="gps and gimbal"),
     PaperRow("sensor-3dgs", "Sensor poses, matched points", "sensor-3dgs", needs="gps and gimbal"),
     PaperRow("sensor-fused", "Sensors fused with pictures", "sensor-fused", needs="gps"),
+    PaperRow(
+        "sensor-fused-slam",
+        "Sensors fused with pictures and SLAM (ORB-PnP)",
+        "sensor-fused",
+        {"slam.backend": "orb-pnp"},
+        needs="video",
+    ),
 )
 
 #: What a reader of the table must know of the paper's figures and of how ours are made.
