@@ -7,9 +7,10 @@ DEMO := runs/demo
 # The page shows the demonstration's runs unless told otherwise.
 RUNS ?= $(DEMO)/runs
 PORT ?= 5006
+VIEWER := toolkit/widgets/viewer
 
 .DEFAULT_GOAL := help
-.PHONY: help setup features demo lab dashboard test bench lint format clean
+.PHONY: help setup features demo lab dashboard viewer viewer-if-npm test bench lint format clean
 
 help:  ## Say what the targets do.
 	@sed -nE 's/^([a-z]+):.*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -50,10 +51,19 @@ demo: $(VENV)/.core  ## Make a sample flight, run two methods on it, compare the
 lab: $(VENV)/.ui  ## Open the notebooks in JupyterLab.
 	$(BIN)/jupyter lab --config scripts/jupyter_config.py notebooks/00_tour.ipynb
 
-dashboard: $(VENV)/.ui  ## Serve the page of runs on this machine: RUNS=folder, PORT=number.
+dashboard: $(VENV)/.ui viewer-if-npm  ## Serve the page of runs on this machine: RUNS=folder, PORT=number.
 	$(BIN)/toolkit dashboard --runs $(RUNS) --port $(PORT)
 
-test: $(VENV)/.dev  ## Run the tests.
+$(VIEWER)/dist/viewer.js: scripts/build_viewer.sh $(VIEWER)/package-lock.json $(VIEWER)/build.mjs $(wildcard $(VIEWER)/src/*.js)
+	@sh scripts/build_viewer.sh
+
+viewer: $(VIEWER)/dist/viewer.js  ## Build the page's WebGL viewer (needs npm).
+
+# Without npm or the network the page shows pictures of the CPU rasterizer, and says so.
+viewer-if-npm:
+	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory viewer || echo "The WebGL viewer was not built."; fi
+
+test: $(VENV)/.dev viewer-if-npm  ## Run the tests.
 	$(BIN)/python -m pytest
 
 bench: $(VENV)/.dev  ## Measure (three hours): rasterizer, training, poses, SLAM, real photos where TOOLKIT_DATA names them.

@@ -287,12 +287,17 @@ def test_the_dashboard_serves_the_folder_of_runs(
 ) -> None:
     from toolkit.widgets import serve
 
-    asked: list[tuple[Path, int, bool]] = []
-    monkeypatch.setattr(
-        serve, "serve", lambda folder, *, port, open_browser: asked.append((folder, port, open_browser))
-    )
+    asked: list[tuple[object, ...]] = []
+    monkeypatch.setattr(serve, "serve", lambda *given, **named: asked.append((*given, named)))
+    monkeypatch.delenv("TOOLKIT_DATA", raising=False)
+    rest = {"clusters": [], "open_browser": False}
     assert toolkit_command("dashboard", "--port", 5011) == 0
-    assert asked == [(runs, 5011, False)]
+    assert asked.pop() == (runs, [runs.parent / "data"], serve.Opening(5011), rest)
+    monkeypatch.setenv("TOOLKIT_DATA", "sets")
+    assert toolkit_command("dashboard") == 0
+    assert asked.pop()[1] == [runs.parent / "data", Path("sets")]
+    assert toolkit_command("dashboard", "--data", "mine", "--host", "0.0.0.0", "--passwords", "who.json") == 0
+    assert asked.pop() == (runs, [Path("mine")], serve.Opening(5006, "0.0.0.0", Path("who.json")), rest)
 
 
 def test_an_empty_folder_of_runs_is_said(toolkit_command: Said, runs: Path, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ PAIRS = {"pairs.method": "spatial"}  # the same matches for both
 
 
 def run_demo(folder: Path, progress: Progress) -> tuple[Comparison, Path]:
-    """Make the sample flight in ``folder/town``, find poses by pictures alone and by sensors, train, and compare.
+    """Make a sample flight, ``folder/data/town``, find poses by pictures and by sensors, train, and compare.
 
     A second call finds the flight and the stages that do not change, and trains again.
 
@@ -41,7 +41,7 @@ def run_demo(folder: Path, progress: Progress) -> tuple[Comparison, Path]:
         The two runs side by side, and the path of the same as one HTML page.
     """
     sample = SampleSettings().replace(SAMPLE)
-    town = folder / "town"
+    town = folder / "data" / "town"
     made_with = {"seed": SEED, "settings": sample.to_dict()}
     if not (town / "sample.json").is_file() or read_json(town / "sample.json") != made_with:
         make_sample(town, sample, seed=SEED, progress=progress)

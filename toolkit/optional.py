@@ -22,8 +22,8 @@ _CURES = {
     "mlflow": "pip install 'sightline-toolkit[mlflow]'",
     "moge": "pip install git+https://github.com/microsoft/MoGe.git",
     "video_depth_anything": (
-        "git clone https://github.com/DepthAnything/Video-Depth-Anything.git, pip install its requirements.txt, and "
-        "name the checkout in PYTHONPATH"
+        "git clone https://github.com/DepthAnything/Video-Depth-Anything.git, pip install its requirements.txt, "
+        "and name the checkout in PYTHONPATH"
     ),
     "huggingface_hub": "pip install 'sightline-toolkit[transformers]'",
     "pyproj": "pip install 'sightline-toolkit[geo]'",

@@ -207,7 +207,12 @@ class Settings(param.Parameterized):
                 if not isinstance(target._declared(part), Group):
                     raise SettingsError(f"Setting '{part}' in '{dotted}' has no settings below it")
                 target = getattr(target, part)
-            target._update({last: value})
+            try:
+                target._update({last: value})
+            except SettingsError as error:
+                if not path:
+                    raise
+                raise SettingsError(f"In '{'.'.join(path)}': {error}") from error
         return made
 
     def replace_from_text(self, assignments: Iterable[str]) -> Self:
@@ -217,11 +222,12 @@ class Settings(param.Parameterized):
             key, equals, text = assignment.partition("=")
             if not equals:
                 raise SettingsError(f"Cannot read '{assignment}'", expected="key=value")
-            changes[key.strip()] = _from_text(self._find(key.strip()), key.strip(), text.strip())
+            changes[key.strip()] = _from_text(self.declaration(key.strip()), key.strip(), text.strip())
         return self.replace(changes)
 
     @classmethod
-    def _find(cls, dotted: str) -> param.Parameter:
+    def declaration(cls, dotted: str) -> param.Parameter:
+        """Return how a setting is declared. Raises :class:`SettingsError` where there is no such one."""
         *path, last = dotted.split(".")
         kind: type[Settings] = cls
         for part in path:

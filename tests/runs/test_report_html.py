@@ -181,7 +181,10 @@ def test_warnings_settings_and_states_are_on_the_page(runs: list[RunFolder], tmp
 
 
 def test_the_best_value_is_marked(runs: list[RunFolder], tmp_path: Path) -> None:
-    assert '<td class="best" title="best"><b>0.2000</b></td>' in page_of(runs, tmp_path)
+    text = page_of(runs, tmp_path)
+    # The bar is as long as the value by the largest of the row: 0.2 of 0.8, and of the other all of it.
+    assert '<td class="best" title="best" style="--run:#f59e0b;--part:0.250"><b>0.2000</b></td>' in text
+    assert '<td style="--run:#3b82f6;--part:1.000">0.8000</td>' in text
 
 
 def test_one_run_alone_makes_its_report(runs: list[RunFolder], tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def compared(*runs: RunFolder) -> CompareView:
 
 def test_measures_settings_and_states_stand_side_by_side(pair: list[RunFolder], failed: RunFolder) -> None:
     text = shown(compared(*pair, failed))
-    assert '<td class="best" title="best"><b>0.2000</b></td>' in text
+    assert '<td class="best" title="best" style="--run:#f59e0b;--part:0.250"><b>0.2000</b></td>' in text
     for part in (
         "loop.rate",
         "fail_at",
@@ -111,7 +111,7 @@ def test_the_worst_picture_comes_first_and_another_can_be_picked(pair: list[RunF
 
 def test_pictures_are_embedded_and_name_no_file(pair: list[RunFolder], runs_dir: Path) -> None:
     content = card(compared(*pair))
-    assert content.count("data:image/jpeg;base64,") == 3  # a photo that two runs share, and two renders
+    assert content.count("data:image/jpeg;base64,") == 5  # a photo that two runs share, two renders, two error maps
     assert str(runs_dir) not in content
 
 
@@ -191,3 +191,48 @@ def test_nothing_chosen_shows_nothing(pair: list[RunFolder]) -> None:
     assert view.comparison is None
     assert figures(view) == []
     assert card(view) == ""
+
+
+def test_a_click_on_a_mark_of_the_chart_shows_its_picture(pair: list[RunFolder]) -> None:
+    view = compared(*pair)
+    chart = next(
+        pane
+        for pane in view.__panel__().select(pn.pane.Plotly)
+        if pane.object is not None and pane.object.layout.yaxis.title.text == "PSNR in dB"
+    )
+    wanted = next(name for name in chart.object.data[0].x if name != view.view)
+    chart.click_data = {"points": [{"x": wanted, "y": 20.0}]}
+    assert view.view == wanted
+    for odd in ({"points": []}, None, {"points": [{"x": "../../secret"}]}):
+        chart.click_data = odd
+        assert view.view == wanted
+
+
+def test_what_the_pictures_show_is_chosen_by_buttons(pair: list[RunFolder]) -> None:
+    view = compared(*pair)
+    assert card(view).count('class="error"') == 2
+    modes = next(
+        group for group in view.__panel__().select(pn.widgets.RadioButtonGroup) if "error" in group.options.values()
+    )
+    modes.value = "error"
+    assert view.__panel__().select(PictureCard)[0].mode == "error"
+
+
+def test_points_that_are_missing_are_told_beside_the_paths(pair: list[RunFolder]) -> None:
+    view = compared(*pair)
+    choice = next(each for each in view.__panel__().select(pn.widgets.Select) if each.label == "Points")
+    choice.value = "gaussians"
+    assert "fast: Run " in shown(view)
+    assert "has no splat" in shown(view)
+    choice.value = ""
+    assert "has no splat" not in shown(view)
+
+
+def test_settings_that_differ_stand_in_groups_with_the_others_marked(
+    pair: list[RunFolder], queued: MakeRun
+) -> None:
+    text = shown(compared(*pair, queued(name="third", loop__rate=0.8, fail_at=3)))
+    assert '<tr class="group"><th scope="rowgroup" colspan="4">loop</th></tr>' in text
+    assert '<tr class="group"><th scope="rowgroup" colspan="4">general</th></tr>' in text
+    row = '<th scope="row">loop.rate</th><td>0.8</td><td class="differs">0.2</td><td>0.8</td>'
+    assert row in text

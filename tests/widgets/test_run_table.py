@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
+import time
 from pathlib import Path
 
 import pytest
 from fake_recipe import RECIPE, MakeRun
 
 from toolkit.errors import RunError
+from toolkit.runs.filters import RunFilter
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import execute
-from toolkit.widgets.run_table import MOST_CHOSEN, RunTable
+from toolkit.runs.notes import RunNotes, write_notes
+from toolkit.widgets.run_table import MOST_CHOSEN, PAGE_ROWS, RunTable
 
 # Panel still says `inplace`, which the newest pandas wishes away.
 pytestmark = pytest.mark.filterwarnings(r"ignore:The inplace keyword in DataFrame\.\w+ is deprecated")
@@ -23,12 +27,12 @@ def table_of(runs_dir: Path) -> RunTable:
 
 
 def cells(table: RunTable, run: RunFolder) -> dict[str, object]:
-    return dict(table.__panel__().value.loc[run.id])
+    return dict(table.widget.value.loc[run.id])
 
 
 def tick(table: RunTable, *places: int) -> None:
     """Tick rows as the browser does."""
-    table.__panel__().selection = list(places)
+    table.widget.selection = list(places)
 
 
 def test_rows_tell_what_a_run_is_and_measured(pair: list[RunFolder], failed: RunFolder, runs_dir: Path) -> None:
@@ -39,6 +43,7 @@ def test_rows_tell_what_a_run_is_and_measured(pair: list[RunFolder], failed: Run
     assert (done["name"], done["state"], done["recipe"], done["data"]) == ("fast", "finished", "fake", "photos")
     assert done["psnr"] == result.metrics["test.psnr"]
     assert done["remark"] == ""
+    assert done["time"] == result.seconds
     assert stopped["state"] == "failed"
     assert stopped["psnr"] != stopped["psnr"]  # not a number: there is none
     assert "The fake recipe fails here; found step 20." in str(stopped["remark"])
@@ -65,7 +70,7 @@ def test_refreshing_reads_only_what_changed(
         raise AssertionError(f"{run.id} was read again")
 
     with monkeypatch.context() as patched:
-        patched.setattr("toolkit.widgets.run_table.summarise", refuse)
+        patched.setattr("toolkit.runs.catalogue.summarise", refuse)
         assert not table.refresh()
     pair[0].status_file.write_text("{")
     assert table.refresh()
@@ -82,10 +87,12 @@ def test_new_and_removed_runs_appear_and_the_choice_stays(
     assert table.refresh()
     assert new.id in table.rows
     assert table.chosen == [pair[1].id, pair[0].id]
+    name = pair[0].record().name
     pair[0].path.rename(runs_dir.parent / "elsewhere")
     assert table.refresh()
     assert table.chosen == [pair[1].id]
-    assert list(table.__panel__().value.index[table.__panel__().selection]) == [pair[1].id]
+    assert table.gone == [name]
+    assert list(table.widget.value.index[table.widget.selection]) == [pair[1].id]
 
 
 def test_a_queued_run_becomes_a_finished_one(queued: MakeRun, runs_dir: Path) -> None:
@@ -117,7 +124,7 @@ def test_a_fifth_run_is_refused_with_a_reason(queued: MakeRun, runs_dir: Path) -
     tick(table, *range(MOST_CHOSEN + 1))
     assert table.chosen == before
     assert table.refused == "At most 4 runs fit side by side: untick one first."
-    assert len(table.__panel__().selection) == MOST_CHOSEN
+    assert len(table.widget.selection) == MOST_CHOSEN
     tick(table, 0)
     assert table.refused == ""
 
@@ -139,7 +146,7 @@ def test_the_two_newest_finished_runs_are_chosen_first(
 
 
 def test_texts_are_drawn_as_text(runs_dir: Path) -> None:
-    formatters = table_of(runs_dir).__panel__().formatters
+    formatters = table_of(runs_dir).widget.formatters
     texts = [name for name, how in formatters.items() if isinstance(how, dict)]
     assert all(formatters[name] == {"type": "plaintext"} for name in texts)
     assert {"name", "state", "recipe", "data", "remark"} <= set(texts)
@@ -148,10 +155,10 @@ def test_texts_are_drawn_as_text(runs_dir: Path) -> None:
 def test_a_folder_that_refuses_is_told(runs_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runs_dir.mkdir()
 
-    def refuse(self: Path) -> None:
-        raise PermissionError(13, "Permission denied", str(self))
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "iterdir", refuse)
+    monkeypatch.setattr("toolkit.runs.index.os.scandir", refuse)
     with pytest.raises(RunError, match="Not allowed while listing"):
         RunTable(runs_dir).refresh()
 
@@ -161,3 +168,130 @@ def test_a_folder_that_is_not_there_has_no_rows(runs_dir: Path) -> None:
     assert not table.refresh()
     table.choose_newest()
     assert table.chosen == []
+
+
+def named(table: RunTable) -> list[str]:
+    """Return the names of the rows that are shown."""
+    return list(table.widget.value["name"])
+
+
+def test_a_filter_hides_rows_and_leaves_the_choice(
+    pair: list[RunFolder], failed: RunFolder, runs_dir: Path
+) -> None:
+    table = table_of(runs_dir)
+    table.choose([pair[0].id])
+    table.narrow(RunFilter(state="failed"))
+    assert named(table) == ["stopped early"]
+    assert table.shown == [failed.id]
+    assert table.widget.selection == []
+    tick(table, 0)
+    assert table.chosen == [pair[0].id, failed.id]
+    table.narrow(RunFilter())
+    assert sorted(table.widget.selection) == sorted(table.shown.index(run_id) for run_id in table.chosen)
+    table.narrow(RunFilter(words=("nothing",)))
+    assert named(table) == []
+    assert table.chosen == [pair[0].id, failed.id]
+
+
+def test_new_runs_come_into_a_filtered_list_where_they_fit(
+    pair: list[RunFolder], finished: MakeRun, runs_dir: Path
+) -> None:
+    table = table_of(runs_dir)
+    table.narrow(RunFilter(words=("fast",)))
+    finished(name="slow")
+    finished(name="faster")
+    assert table.refresh()
+    assert sorted(named(table)) == ["fast", "faster"]
+
+
+def test_columns_of_measures_and_settings_are_added(
+    pair: list[RunFolder], failed: RunFolder, runs_dir: Path
+) -> None:
+    table = table_of(runs_dir)
+    table.choose([pair[1].id])
+    table.arrange(["loop.rate", "test.lpips_vgg", "loop.total"], "", "loop.rate", descending=False)
+    frame = table.widget.value
+    assert list(frame.loc[[run.id for run in pair], "extra0"]) == [0.8, 0.2]
+    assert frame["extra2"].isna().sum() == 1  # the failed run has no measures
+    assert table.widget.titles["extra0"] == "loop.rate"
+    assert table.widget.sorters == [{"field": "extra0", "dir": "asc"}]
+    assert [table.shown[i] for i in table.widget.selection] == [pair[1].id]
+    tick(table, *range(2))
+    assert len(table.chosen) == 2
+    table.arrange(["loop.rate"], "", "created", descending=True)
+    assert "extra1" not in table.widget.value
+
+
+def test_groups_have_all_their_rows(pair: list[RunFolder], failed: RunFolder, runs_dir: Path) -> None:
+    write_notes(pair[0], RunNotes(("b", "a")))
+    table = table_of(runs_dir)
+    assert table.widget.pagination == "remote"
+    table.arrange([], "tags", "psnr", descending=True)
+    assert table.widget.groupby == ["tags"]
+    assert table.widget.pagination is None
+    assert table.widget.sorters == [{"field": "tags", "dir": "asc"}, {"field": "psnr", "dir": "desc"}]
+    assert cells(table, pair[0])["tags"] == "b, a"
+    table.arrange([], "", "psnr", descending=False)
+    assert table.widget.sorters == [{"field": "psnr", "dir": "asc"}]
+
+
+def test_a_note_is_the_remark_of_a_run_without_errors(pair: list[RunFolder], runs_dir: Path) -> None:
+    write_notes(pair[1], RunNotes((), "the one\nto keep"))
+    assert cells(table_of(runs_dir), pair[1])["remark"] == "the one to keep"
+
+
+def test_many_rows_come_a_page_at_a_time(queued: MakeRun, runs_dir: Path) -> None:
+    first = queued(name="run 0")
+    for number in range(1, 2 * PAGE_ROWS + 1):
+        shutil.copytree(first.path, runs_dir / f"20250101-{number:06d}-fake-0000")
+    table = table_of(runs_dir)
+    assert len(table.widget.value) == 2 * PAGE_ROWS + 1
+    table.widget.page = 3
+    table.narrow(RunFilter(words=("20250101-00001",)))
+    assert table.widget.page == 1
+    assert len(table.shown) == 10
+
+
+def test_runs_that_were_not_read_yet_can_be_chosen(
+    pair: list[RunFolder], runs_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("toolkit.widgets.run_table._SLICE", 0.0)
+    table = table_of(runs_dir)
+    assert table.rows == {}
+    assert table.catalogue.unread == 2
+    assert table.choose([pair[0].id, "other"]) == ["other"]
+    assert table.chosen == [pair[0].id]
+    assert named(table) == [pair[0].record().name]
+
+
+def test_a_look_of_another_page_is_taken_over(pair: list[RunFolder], finished: MakeRun, runs_dir: Path) -> None:
+    other, one = table_of(runs_dir), table_of(runs_dir)
+    new = finished(name="new")
+    assert one.refresh()
+    looks = one.catalogue.looks
+    assert other.refresh()
+    assert new.id in other.rows
+    assert one.catalogue.looks == looks
+    assert not other.refresh()
+    assert one.catalogue.looks == looks + 1
+
+
+def test_what_a_browser_may_have_missed_is_sent_again(
+    pair: list[RunFolder], runs_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("toolkit.widgets.run_table._BUILDING", 0.1)
+    table = table_of(runs_dir)
+    sent: list[int] = []
+    table.arrange([], "recipe", "created", descending=True)
+    table.widget.param.watch(lambda event: sent.append(len(event.new)), "value", onlychanged=False)
+    table.narrow(RunFilter(words=("fast",)))
+    assert sent == [1]
+    table.refresh()
+    assert sent == [1]
+    time.sleep(0.15)
+    table.refresh()
+    table.refresh()
+    assert sent == [1, 1]  # once more, and then no more
+    table.narrow(RunFilter())
+    table.refresh()
+    assert sent == [1, 1, 2]

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 import toolkit
-from toolkit.cli import calibrate, capture, data, pages, queue, render, runs, slam, tables
+from toolkit.cli import calibrate, capture, data, pages, queue, render, runs, slam, sweep, tables
 from toolkit.cli.common import Command
 from toolkit.errors import Cancelled, ToolkitError
 
@@ -63,6 +63,7 @@ def build_parser(
     pages.add_commands(commands)
     runs.add_commands(commands)
     queue.add_commands(commands)
+    sweep.add_commands(commands)
     render.add_commands(commands)
     data.add_commands(commands, with_sample_flags=with_sample_flags)
     capture.add_commands(commands, with_flags=with_frame_flags)

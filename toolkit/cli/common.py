@@ -36,6 +36,12 @@ def add_runs_dir(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def data_dirs_beside(runs_dir: Path) -> list[Path]:
+    """Return where captures are looked for unless it is said: ``data`` beside the runs, and ``TOOLKIT_DATA``."""
+    named = os.environ.get("TOOLKIT_DATA")
+    return [runs_dir.parent / "data", *([Path(named)] if named else [])]
+
+
 def with_bar(work: Callable[[TqdmProgress], T]) -> T:
     """Return ``work(bar)`` with a progress bar that is closed afterwards."""
     bar = TqdmProgress()

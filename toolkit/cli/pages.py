@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from toolkit.cli.common import add, add_runs_dir, with_bar
+from toolkit.cli.common import add, add_runs_dir, data_dirs_beside, with_bar
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
@@ -36,15 +36,40 @@ def _add_dashboard(commands: argparse._SubParsersAction) -> None:
         commands,
         "dashboard",
         _dashboard,
-        "Serve the page of runs on this machine, until Ctrl-C.",
+        "Serve the dashboard on this machine, until Ctrl-C.",
         "dashboard --open",
     )
-    added.add_argument("--port", type=int, default=5006, help="where it listens, on this machine only [5006]")
+    added.add_argument(
+        "--data",
+        type=Path,
+        nargs="+",
+        metavar="DIR",
+        help="folders with captures; new data go into the first one [data beside the runs, and $TOOLKIT_DATA]",
+    )
+    added.add_argument("--port", type=int, default=5006, help="where it listens [5006]")
+    added.add_argument(
+        "--host", default="127.0.0.1", help="address that it listens on; a network's needs --passwords [127.0.0.1]"
+    )
+    added.add_argument(
+        "--passwords", type=Path, metavar="FILE", help='who may log in: a JSON file, {"name": "password"}'
+    )
+    added.add_argument(
+        "--origin",
+        nargs="+",
+        default=[],
+        metavar="HOST",
+        help="further addresses (host or host:port) by which browsers reach it, as behind a proxy",
+    )
+    added.add_argument(
+        "--cluster", nargs="+", default=[], metavar="ADDRESS", help="Dask schedulers on which sweeps may run"
+    )
     added.add_argument("--open", action="store_true", help="open the page in the browser")
     add_runs_dir(added)
 
 
 def _dashboard(arguments: argparse.Namespace) -> None:
-    from toolkit.widgets.serve import serve
+    from toolkit.widgets.serve import Opening, serve
 
-    serve(arguments.runs, port=arguments.port, open_browser=arguments.open)
+    opening = Opening(arguments.port, arguments.host, arguments.passwords, tuple(arguments.origin))
+    data = arguments.data or data_dirs_beside(arguments.runs)
+    serve(arguments.runs, data, opening, clusters=arguments.cluster, open_browser=arguments.open)

@@ -32,14 +32,8 @@ def _work(arguments: argparse.Namespace) -> None:
 
 
 def _cancel(arguments: argparse.Namespace) -> None:
-    from toolkit.runs.cancel import request_cancel
     from toolkit.runs.index import find_run
-    from toolkit.runs.queue import withdraw
+    from toolkit.runs.stop import stop_run
 
     run = find_run(arguments.run, arguments.runs)
-    waited = withdraw(run)
-    if waited and run.status().state not in ("queued", "running"):
-        print(f"Run {run.id} waits no more")
-        return
-    request_cancel(run)
-    print(f"Run {run.id} stops at its next step; toolkit resume {run.path} goes on with it")
+    print(f"{stop_run(run)} It can go on: toolkit resume {run.path}")

@@ -185,13 +185,14 @@ def _draw_plane(
     if cloud is not None and len(cloud):
         # From the lowest to the highest, so that roofs hide what is below them, as they do from above.
         order = np.argsort(cloud.xyz[:, 2], kind="stable")
+        colours = _css(cloud)
         drawn.add_scattergl(
             x=cloud.xyz[order, 0],
             y=cloud.xyz[order, 1],
             name="points",
             mode="markers",
             hoverinfo="skip",
-            marker={"size": 3, "color": [_css(cloud)[i] for i in order]},
+            marker={"size": 3, "color": [colours[i] for i in order]},
         )
     length = 0.06 * _extent(everything)
     for label, places, shade, symbol in groups:

@@ -27,6 +27,7 @@ def trajectory_figure(
     reference: Mapping[str, RigidTransform] | None = None,
     *,
     most_cameras: int = 60,
+    clouds: Mapping[str, tuple[Array, NDArray[np.uint8]]] | None = None,
 ) -> go.Figure:
     """Draw camera centres as paths, with small pyramids that show where cameras look.
 
@@ -38,6 +39,8 @@ def trajectory_figure(
         True poses, drawn in grey.
     most_cameras:
         Most pyramids drawn a path; centres are all drawn.
+    clouds:
+        By the run's label, points (N, 3) in the same frame and their colours (N, 3).
     """
     drawn = figure("", 560, margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=True)
     everything = [_centres(poses) for poses in [*paths.values(), reference or {}] if poses]
@@ -47,8 +50,25 @@ def trajectory_figure(
     for position, (label, poses) in enumerate(paths.items()):
         if poses:
             _add_path(drawn, label, poses, colour(position), dash(position), size, most_cameras)
+    for label, (xyz, rgb) in (clouds or {}).items():
+        _add_cloud(drawn, label, xyz, rgb)
+        everything.append(xyz)
     drawn.update_layout(legend={"y": 1.0}, scene=space(np.concatenate([np.empty((0, 3)), *everything])))
     return drawn
+
+
+def _add_cloud(drawn: go.Figure, label: str, xyz: Array, rgb: NDArray[np.uint8]) -> None:
+    # Single precision is enough for a drawing, and half of what the browser has to fetch.
+    small = xyz.astype(np.float32)
+    drawn.add_scatter3d(
+        x=small[:, 0],
+        y=small[:, 1],
+        z=small[:, 2],
+        name=f"{shown(label)}: points",
+        mode="markers",
+        marker={"size": 1.6, "color": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()]},
+        hoverinfo="skip",
+    )
 
 
 def _add_path(

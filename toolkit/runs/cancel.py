@@ -15,8 +15,13 @@ _REQUEST = ".cancel"
 LOOK_EVERY = 0.25
 
 
-def request_cancel(run: RunFolder) -> None:
+def request_cancel(run: RunFolder, reason: str = "Cancelled") -> None:
     """Ask whoever works on a run to stop at its next event; one that waits for its turn is cancelled at once.
+
+    Parameters
+    ----------
+    reason:
+        First words of what the run's status and log will say.
 
     Raises
     ------
@@ -29,13 +34,13 @@ def request_cancel(run: RunFolder) -> None:
     if state == "queued":
         with run.held():  # nobody begins meanwhile
             if run.status().state == "queued":
-                write_status(run.status_file, RunStatus("cancelled", error="Cancelled before it began."))
+                write_status(run.status_file, RunStatus("cancelled", error=f"{reason} before it began."))
                 return
     elif state != "running":
         raise RunError(
             f"Run {run.id} cannot be cancelled", expected="one that waits or works", found=f"one that is {state}"
         )
-    write_text(run.path / _REQUEST, utc_now())
+    write_text(run.path / _REQUEST, f"{utc_now()}\n{reason}\n")
 
 
 def forget_request(run: RunFolder) -> None:
@@ -57,4 +62,6 @@ class CancelRequests:
             return
         self._looked = now
         if self._file.exists():
-            raise Cancelled(f"Cancelled in stage {event.stage} at {event.done} of {event.total or '?'}")
+            lines = self._file.read_text(encoding="utf-8", errors="replace").splitlines()
+            reason = lines[1] if len(lines) > 1 else "Cancelled"
+            raise Cancelled(f"{reason} in stage {event.stage} at {event.done} of {event.total or '?'}")

@@ -75,7 +75,7 @@ def read_curves(path: Path) -> Curves:
     table: dict[tuple[str, str], dict[int, tuple[float, float]]] = {}
     damaged = 0
     for line in lines:
-        row = _parse(line)
+        row = parse_row(line)
         if row is None:
             damaged += 1
             continue
@@ -84,7 +84,8 @@ def read_curves(path: Path) -> Curves:
     return Curves(tuple(_curve(stage, name, rows) for (stage, name), rows in table.items()), damaged)
 
 
-def _parse(line: str) -> tuple[float, str, int, str, float] | None:
+def parse_row(line: str) -> tuple[float, str, int, str, float] | None:
+    """Return seconds, stage, step, name and value of a line, None where it is damaged."""
     fields = line.split(",")
     if len(fields) != 5:
         return None

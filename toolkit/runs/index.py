@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from toolkit.errors import DataError, RunError
 from toolkit.files import disk_errors
 from toolkit.runs.folder import RunFolder, open_run
 from toolkit.runs.names import check_name, is_run_id, latest_offset
+from toolkit.runs.notes import read_notes
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +34,10 @@ class RunSummary:
         Wall time of its stages, None before the end.
     metrics:
         Final measures, empty before the end.
+    settings:
+        Under dotted names; empty where run.json is damaged.
+    tags, note:
+        What a person said about it.
     error:
         Why it failed, or what is damaged.
     """
@@ -48,6 +55,9 @@ class RunSummary:
     total: int | None = None
     seconds: float | None = None
     metrics: dict[str, float | None] | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    tags: tuple[str, ...] = ()
+    note: str = ""
     error: str = ""
 
     @property
@@ -72,8 +82,8 @@ def run_folders(runs_dir: Path) -> list[RunFolder]:
     """Return the folders of all runs, by their ids: those begin with the time of creation."""
     if not runs_dir.is_dir():
         return []
-    with disk_errors(runs_dir, "listing"):
-        names = sorted(path.name for path in runs_dir.iterdir() if path.is_dir() and not path.name.startswith("."))
+    with disk_errors(runs_dir, "listing"), os.scandir(runs_dir) as entries:
+        names = sorted(entry.name for entry in entries if entry.is_dir() and not entry.name.startswith("."))
     return [RunFolder(runs_dir / name) for name in names]
 
 
@@ -85,6 +95,7 @@ def summarise(run: RunFolder) -> RunSummary:
     try:
         record = run.record()
         fields |= {name: getattr(record, name) for name in ("name", "recipe", "data", "created", "seed", "device")}
+        fields["settings"] = record.flat_settings
     except DataError as error:
         errors.append(str(error))
     try:
@@ -98,6 +109,11 @@ def summarise(run: RunFolder) -> RunSummary:
             fields |= {"seconds": result.seconds, "metrics": result.metrics}
     except (DataError, RunError) as error:
         state = "damaged"
+        errors.append(str(error))
+    try:
+        notes = read_notes(run)
+        fields |= {"tags": notes.tags, "note": notes.text}
+    except DataError as error:  # what a person said is lost; the run is not
         errors.append(str(error))
     return RunSummary(run, state, error=" ".join(errors), **fields)
 

@@ -54,6 +54,11 @@ def is_run_id(text: str) -> bool:
     return _ID.fullmatch(text) is not None
 
 
+def recipe_of_id(text: str) -> str:
+    """Return the name of the recipe in a run's id, empty where ``text`` is none."""
+    return text[16:-5] if is_run_id(text) else ""
+
+
 def latest_offset(text: str) -> int | None:
     """Return how many runs back ``latest`` (0) or ``latest-<n>`` (n) points; None for every other text."""
     match = _LATEST.fullmatch(text)

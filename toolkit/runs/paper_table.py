@@ -139,7 +139,7 @@ def _entry(attempt: Attempt, result: StoredResult | None) -> Entry:
         run = attempt.run.id if attempt.run else ""
         return Entry({}, outcome=attempt.text, brief=attempt.brief, run=run)
     seconds = stage_seconds(result.times)
-    values = {measure.key: _value(result, measure) for measure in (*MEASURES, *MORE_MEASURES)}
+    values = {measure.key: measure_value(result, measure) for measure in (*MEASURES, *MORE_MEASURES)}
     times = {"poses": seconds.poses, "scene": seconds.scene, "total": seconds.total}
     registered, frames = _frames(attempt.run)
     tested = frozenset((attempt.data, view.name) for view in result.test_views)
@@ -147,7 +147,7 @@ def _entry(attempt: Attempt, result: StoredResult | None) -> Entry:
     return Entry({**values, **times}, registered, frames, run=attempt.run.id, of=of, tested=tested)
 
 
-def _value(result: StoredResult, measure: Measure) -> float | None:
+def measure_value(result: StoredResult, measure: Measure) -> float | None:
     """Return a measure of a run; that of several networks' whose name comes first."""
     if measure.metric in result.metrics:
         return result.metrics[measure.metric]

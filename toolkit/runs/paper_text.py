@@ -136,21 +136,21 @@ def table_latex(table: PaperTable) -> str:
     lines = [
         r"\begin{tabular}{ll" + "r" * (width - 2) + "}",
         r"\toprule",
-        " & ".join(_latex(title) for title in titles) + r" \\",
+        " & ".join(latex_text(title) for title in titles) + r" \\",
         r"\midrule",
     ]
     for row in table.rows:
-        title = _latex(row.row.title)
+        title = latex_text(row.row.title)
         count = f"{row.finished}/{len(table.data)}"
         if row.finished:
             cells = _cells(row.mean, MEASURES, best[row.row.key], r"\textbf{{{}}}")
             lines.append(" & ".join([title, count, *(cell.replace(NOTHING, "--") for cell in cells)]) + r" \\")
         else:
-            reason = _latex(row.mean.outcome)
+            reason = latex_text(row.mean.outcome)
             lines.append(rf"{title} & {count} & \multicolumn{{{width - 2}}}{{l}}{{{reason}}} \\")
         if row.row.paper is not None:
             cells = _cells(Entry(asdict(row.row.paper)), MEASURES, frozenset(), "")
-            paper = rf"\quad\textit{{paper: {_latex(row.row.paper_title)}}}"
+            paper = rf"\quad\textit{{paper: {latex_text(row.row.paper_title)}}}"
             cells = [cell.replace(NOTHING, "--") for cell in cells]
             lines.append(" & ".join([paper, str(row.row.paper.scenes), *cells]) + r" \\")
     lines += [r"\bottomrule", r"\end{tabular}", *(f"% {note}" for note in table.notes), ""]
@@ -235,6 +235,6 @@ def _plain(text: str) -> str:
     return re.sub(r"([\\|*_`<>\[\]])", r"\\\1", " ".join(text.split()))
 
 
-def _latex(text: str) -> str:
+def latex_text(text: str) -> str:
     """Return text with LaTeX's own characters escaped."""
     return "".join(_LATEX.get(letter, letter) for letter in " ".join(text.split()))

@@ -7,18 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 
-from toolkit.errors import DataError
+from toolkit.errors import DataError, ToolkitError
 from toolkit.plots.curves import curve_figure
 from toolkit.plots.times import time_figure
 from toolkit.plots.trajectories import trajectory_figure
 from toolkit.plots.views import view_figure
+from toolkit.runs.clouds import MOST_POINTS, CloudKind, read_cloud
 from toolkit.runs.compare import ComparedRun
 from toolkit.runs.curves import Curve, Curves
 from toolkit.runs.markup import Html, element
 from toolkit.runs.report_views import ViewsByName
-from toolkit.runs.trajectories import align_trajectories, read_trajectories
+from toolkit.runs.trajectories import AlignedTrajectories, align_trajectories, read_trajectories
 
 #: Measurements that come first on the page.
 _FIRST = ("loss", "psnr", "ssim", "gaussians", "count")
@@ -130,8 +133,13 @@ def psnr_figure(runs: Sequence[ComparedRun], found: ViewsByName) -> go.Figure | 
     return view_figure(psnr, found.names, measure="PSNR in dB")
 
 
-def aligned_figure(runs: Sequence[ComparedRun]) -> tuple[go.Figure | None, list[str]]:
-    """Return the trajectories in one frame, None where no run has any, and remarks."""
+def aligned_figure(
+    runs: Sequence[ComparedRun], clouds: CloudKind | None = None
+) -> tuple[go.Figure | None, list[str]]:
+    """Return the trajectories in one frame, with points where they are asked for, and remarks.
+
+    There is no figure where no run has a trajectory.
+    """
     read = {}
     remarks = []
     for item in runs:
@@ -147,4 +155,23 @@ def aligned_figure(runs: Sequence[ComparedRun]) -> tuple[go.Figure | None, list[
     # Runs without a trajectory keep their colours for the others to have the same everywhere.
     paths = {item.label: aligned.paths[item.label].poses if item.label in aligned.paths else {} for item in runs}
     reference = aligned.reference.poses if aligned.reference is not None else None
-    return trajectory_figure(paths, reference), remarks
+    points, more = _clouds(runs, aligned, clouds) if clouds else ({}, [])
+    return trajectory_figure(paths, reference, clouds=points), [*remarks, *more]
+
+
+def _clouds(
+    runs: Sequence[ComparedRun], aligned: AlignedTrajectories, kind: CloudKind
+) -> tuple[dict[str, tuple[NDArray[np.float64], NDArray[np.uint8]]], list[str]]:
+    """Return points and colours by label in the common frame, and remarks."""
+    drawn = [item for item in runs if item.label in aligned.transforms]
+    found: dict[str, tuple[NDArray[np.float64], NDArray[np.uint8]]] = {}
+    remarks = []
+    for item in drawn:
+        try:
+            cloud = read_cloud(item.run, kind, most=MOST_POINTS // len(drawn))
+        except ToolkitError as error:
+            remarks.append(f"{item.label}: {error}")
+            continue
+        found[item.label] = aligned.transforms[item.label].apply(cloud.xyz), cloud.rgb
+        remarks.append(f"{item.label}: {len(cloud.xyz):,} of {cloud.total:,} points; far ones are left out.")
+    return found, remarks

@@ -12,18 +12,25 @@ import toolkit
 from toolkit.files import write_text
 from toolkit.plots.style import colour
 from toolkit.progress import Progress, silent
-from toolkit.recipes.base import StageTime
-from toolkit.runs.compare import ComparedRun, Comparison, MeasureRow, TextRow
-from toolkit.runs.markup import Content, Html, element, joined, table
-from toolkit.runs.measures import better, format_number, format_seconds
+from toolkit.runs.compare import ComparedRun, Comparison
+from toolkit.runs.markup import Html, element, joined, table
+from toolkit.runs.measures import format_number, format_seconds
 from toolkit.runs.report_figures import FigureBook, aligned_figure, curve_places, psnr_figure, times_figure
 from toolkit.runs.report_style import CSS, SCRIPT
+from toolkit.runs.report_tables import (
+    measures_section,
+    note,
+    paper_section,
+    section,
+    settings_section,
+    text_rows,
+    time_table,
+)
 from toolkit.runs.report_views import view_cards, views_by_name
 from toolkit.runs.status import utc_now
 
 #: Nothing may be loaded from anywhere: the browser enforces what the page promises.
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-_ARROW = {"higher": "higher is better", "lower": "lower is better", None: None}
 #: What cards of test pictures can show, and what the button says.
 VIEW_MODES = {"slide": "Slide", "photo": "Photo", "render": "Render", "difference": "Difference"}
 _MOST_LOG_LINES = 300
@@ -72,6 +79,7 @@ def report_page(comparison: Comparison, most_views: int, picture_width: int, pro
         warning_list(comparison.warnings),
         measures_section(comparison, heads),
         settings_section(comparison, heads),
+        paper_section(comparison),
         _views(comparison, dots, figures, most_views, picture_width, progress),
         _curves(runs, figures),
         _times(comparison, heads, figures),
@@ -114,14 +122,6 @@ def run_cards(runs: Sequence[ComparedRun]) -> Html:
     """Return a card for each run with its state and what matters most."""
     dots = run_dots(len(runs))
     return element("div", [_card(item, i, dots[i]) for i, item in enumerate(runs)], class_="runs")
-
-
-def _section(title: str, *content: Content, mode: str | None = None) -> Html:
-    return element("section", element("h2", title), *content, data_mode=mode)
-
-
-def _notes(texts: Sequence[str]) -> Html | None:
-    return element("p", " ".join(texts), class_="note") if texts else None
 
 
 def _choice(label: str, options: dict[str, str]) -> Html:
@@ -175,48 +175,6 @@ def warning_list(texts: Sequence[str]) -> Html | None:
     return element("ul", [element("li", text) for text in texts], class_="warnings") if texts else None
 
 
-def measures_section(comparison: Comparison, heads: Sequence[Html]) -> Html | None:
-    """Return the table of measures with the best marked, None where no run has any."""
-    if not comparison.measures:
-        return None
-    rows: list[list[Content]] = []
-    for row in comparison.measures:
-        rows.append([_measure_name(row), *(_value(row, i) for i in range(len(row.values)))])
-    return _section("Measures", table(["", *heads], rows, "numeric" + _single(heads)))
-
-
-def _single(heads: Sequence[Html]) -> str:
-    """Keep the numbers of a single run beside their names and not across the page."""
-    return " single" if len(heads) == 1 else ""
-
-
-def _measure_name(row: MeasureRow) -> Html:
-    way = _ARROW[better(row.name)]
-    return joined([row.name, element("small", way) if way else None])
-
-
-def _value(row: MeasureRow, position: int) -> Html:
-    text = format_number(row.values[position])
-    if position in row.best:
-        return element("td", element("b", text), class_="best", title="best")
-    return element("td", text)
-
-
-def settings_section(comparison: Comparison, heads: Sequence[Html]) -> Html | None:
-    """Return the settings that differ, None for one run alone."""
-    if len(comparison.runs) == 1:
-        return None
-    if not comparison.settings and not comparison.settings_notes:
-        return _section("Settings that differ", _notes(["All settings are the same."]))
-    rows = _text_rows(comparison.settings)
-    drawn = table(["", *heads], rows, "text") if rows else None
-    return _section("Settings that differ", _notes([f"{note}." for note in comparison.settings_notes]), drawn)
-
-
-def _text_rows(rows: Sequence[TextRow]) -> list[list[Content]]:
-    return [[row.name, *("–" if value is None else value for value in row.values)] for row in rows]
-
-
 def _views(
     comparison: Comparison,
     dots: Sequence[Html],
@@ -234,9 +192,9 @@ def _views(
     shown = min(most, len(found.names))
     count = f"The {shown} worst of {len(found.names)}" if shown < len(found.names) else f"All {shown}"
     chart = figures.place_one(psnr_figure(runs, found))
-    return _section(
+    return section(
         "Test pictures",
-        _notes([f"{count} pictures that no run was trained on, worst first. Move over a picture to uncover it."]),
+        note([f"{count} pictures that no run was trained on, worst first. Move over a picture to uncover it."]),
         element("div", _choice("What the pictures show", VIEW_MODES), class_="bar"),
         cards,
         element("div", chart, class_="card chart", style="margin-top:16px") if chart is not None else None,
@@ -254,9 +212,9 @@ def _curves(runs: Sequence[ComparedRun], figures: FigureBook) -> Html | None:
     if not places and not remarks:
         return None
     over = _choice("Horizontal axis", {"step": "by step", "time": "by time"})
-    return _section(
+    return section(
         "Curves",
-        _notes(remarks),
+        note(remarks),
         [element("div", over, class_="bar"), element("div", places, class_="charts")] if places else None,
     )
 
@@ -266,23 +224,7 @@ def _times(comparison: Comparison, heads: Sequence[Html], figures: FigureBook) -
     if place is None:
         return None
     chart = element("div", place, class_="card chart", style="margin-bottom:14px")
-    return _section("Time by stage", chart, time_table(comparison, heads))
-
-
-def time_table(comparison: Comparison, heads: Sequence[Html]) -> Html:
-    """Return the table of times by stage, with a note where stages were reused."""
-    rows: list[list[Content]] = [[row.stage, *map(_seconds, row.times)] for row in comparison.times]
-    totals = ["–" if total is None else format_seconds(total) for total in comparison.totals]
-    rows.append(["total", *totals])
-    reused = any(time is not None and time.reused for row in comparison.times for time in row.times)
-    note = "Hatched stages were reused: they count with the time that they took when they were made."
-    return joined([_notes([note] if reused else []), table(["", *heads], rows, "numeric total" + _single(heads))])
-
-
-def _seconds(time: StageTime | None) -> Html:
-    if time is None:
-        return element("td", "–")
-    return element("td", format_seconds(time.seconds), element("small", "reused") if time.reused else None)
+    return section("Time by stage", chart, time_table(comparison, heads))
 
 
 def _trajectories(runs: Sequence[ComparedRun], figures: FigureBook) -> Html | None:
@@ -291,7 +233,7 @@ def _trajectories(runs: Sequence[ComparedRun], figures: FigureBook) -> Html | No
     if place is None and not remarks:
         return None
     drawn = element("div", place, class_="card chart") if place is not None else None
-    return _section("Camera trajectories", _notes(remarks), drawn)
+    return section("Camera trajectories", note(remarks), drawn)
 
 
 def details_section(comparison: Comparison, heads: Sequence[Html]) -> Html:
@@ -306,8 +248,8 @@ def details_section(comparison: Comparison, heads: Sequence[Html]) -> Html:
         if item.run.log_file.is_file():
             lines = item.run.log_file.read_text(encoding="utf-8", errors="replace").splitlines()
             parts.append(_folded(f"Log of {item.label}", "\n".join(lines[-_MOST_LOG_LINES:])))
-    facts = table(["", *heads], _text_rows(comparison.facts), "text")
-    return _section("How the runs were made" if len(comparison.runs) > 1 else "How the run was made", facts, parts)
+    facts = table(["", *heads], text_rows(comparison.facts), "text")
+    return section("How the runs were made" if len(comparison.runs) > 1 else "How the run was made", facts, parts)
 
 
 def _folded(title: str, text: str) -> Html:

@@ -74,6 +74,12 @@ table.numeric td { text-align: right; font-variant-numeric: tabular-nums; white-
 table.single { width: auto; min-width: min(420px, 100%); }
 table.numeric thead th:not(:first-child) { text-align: right; }
 table.text td { overflow-wrap: anywhere; min-width: 11em; }
+table.bars td {
+  background: linear-gradient(var(--run, transparent), var(--run, transparent)) no-repeat left 14px bottom 3px;
+  background-size: calc((100% - 28px) * (var(--part, 0))) 3px;
+}
+tr.group th { color: var(--muted); font-size: 12.5px; font-weight: 600; padding-bottom: 4px; }
+td.differs { background: color-mix(in srgb, var(--accent) 13%, transparent); }
 td.best b {
   display: inline-block; margin: -1px -8px; padding: 1px 8px; border-radius: 7px;
   background: var(--best-ground); color: var(--best);
@@ -94,22 +100,36 @@ table.total tbody tr:last-child > * { font-weight: 650; }
 }
 .choice button + button { border-left: 1px solid var(--line); }
 .choice button[aria-pressed=true] { background: var(--accent); color: var(--card); font-weight: 600; }
-.choice button:focus-visible, input:focus-visible, summary:focus-visible {
+:is(button, input, summary, .stack, .scroll):focus-visible {
   outline: 2px solid var(--accent); outline-offset: 2px;
 }
 .views {
   display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(var(--view), 100%), 1fr));
 }
 .view { padding: 12px; min-width: 0; }
-.view h3 { margin: 0 2px 8px; font-size: 14px; font-weight: 600; overflow-wrap: anywhere; }
+.view .top { display: flex; gap: 10px; align-items: center; margin: 0 2px 8px; }
+.view h3 { margin: 0; font-size: 14px; font-weight: 600; overflow-wrap: anywhere; }
+.zooms { margin-left: auto; display: flex; gap: 4px; }
+.zooms button {
+  min-width: 30px; height: 28px; border: 1px solid var(--line); border-radius: 7px; background: var(--card);
+  color: var(--text); font: inherit; font-size: 13px; cursor: pointer;
+}
+.view .scale { margin: 8px 2px 0; font-size: 12.5px; }
 .panels { display: grid; gap: 10px; grid-template-columns: repeat(auto-fit, minmax(min(220px, 100%), 1fr)); }
 figure { margin: 0; min-width: 0; }
 .stack {
   position: relative; border-radius: 8px; overflow: hidden; isolation: isolate; background: #000;
   cursor: ew-resize; touch-action: pan-y; user-select: none; line-height: 0;
 }
-.stack img { width: 100%; height: auto; display: block; -webkit-user-drag: none; }
-.stack .render { position: absolute; inset: 0; height: 100%; clip-path: inset(0 0 0 var(--split)); }
+.stack img {
+  width: 100%; height: auto; display: block; -webkit-user-drag: none; transform-origin: 0 0;
+  transform: translate(var(--shift-x, 0%), var(--shift-y, 0%)) scale(var(--zoom, 1));
+}
+.stack .over { position: absolute; inset: 0; clip-path: inset(0 0 0 var(--split)); }
+.stack .over img { height: 100%; }
+.stack .error { position: absolute; inset: 0; height: 100%; display: none; }
+.zoomed .stack { touch-action: none; cursor: grab; }
+.near img { image-rendering: pixelated; }
 .stack::after {
   content: ""; position: absolute; top: 0; bottom: 0; left: var(--split); width: 2px; margin-left: -1px;
   background: #fff; box-shadow: 0 0 4px rgba(0, 0, 0, .6);
@@ -120,18 +140,22 @@ figure { margin: 0; min-width: 0; }
   font-size: 11px; line-height: 1.6; pointer-events: none;
 }
 .tag.left { left: 8px; } .tag.right { right: 8px; }
-[data-mode=photo] .render,
+[data-mode=photo] .over,
 [data-mode=photo] .right,
 [data-mode=render] .left,
-[data-mode=difference] .tag {
+[data-mode=difference] .tag,
+[data-mode=error] .tag {
   display: none;
 }
-[data-mode=render] .render, [data-mode=difference] .render { clip-path: none; }
-[data-mode=difference] .render { mix-blend-mode: difference; }
+[data-mode=error] .error { display: block; }
+.view .scale { display: none; }
+[data-mode=error] .view .scale { display: block; }
+[data-mode=render] .over, [data-mode=difference] .over { clip-path: none; }
+[data-mode=difference] .over { mix-blend-mode: difference; }
 [data-mode=difference] .stack { filter: brightness(2.5); }
-:is([data-mode=photo], [data-mode=render], [data-mode=difference]) .stack { cursor: default; }
-:is([data-mode=photo], [data-mode=render], [data-mode=difference]) .stack::after { display: none; }
-:is([data-mode=photo], [data-mode=render], [data-mode=difference]) .view input { visibility: hidden; }
+[data-mode]:not([data-mode=slide]) .view:not(.zoomed) .stack { cursor: default; }
+[data-mode]:not([data-mode=slide]) .stack::after { display: none; }
+[data-mode]:not([data-mode=slide]) .view input { visibility: hidden; }
 figcaption { display: flex; gap: 7px; align-items: center; font-size: 13px; margin: 6px 2px 0; min-width: 0; }
 figcaption .name { overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
 figcaption .score {
@@ -156,7 +180,7 @@ footer { margin-top: 48px; color: var(--muted); font-size: 13px; }
   tbody th small { display: block; margin: 0; }
 }
 @media print {
-  .bar, .view input { display: none; }
+  .bar, .zooms, .view input { display: none; }
   .card, .scroll, details { box-shadow: none; break-inside: avoid; }
 }
 """
@@ -166,28 +190,87 @@ CSS = f"""
 @media (prefers-color-scheme: dark) {{ :root {{ {DARK} }} }}
 {RULES}"""
 
-#: ``followViews(root)``: what cards of test pictures below ``root`` do; each dividing line follows the pointer.
+#: ``followViews(root)``: what cards of test pictures below ``root`` do; each dividing line follows the pointer, and
+#: all pictures of a card are zoomed and moved together.
 VIEW_SCRIPT = """
+const MOST_ZOOM = 16;
+
 function followViews(root) {
   for (const image of root.querySelectorAll("img[data-same]")) {
     image.src = root.querySelector("#" + image.dataset.same).src;
   }
-  for (const view of root.querySelectorAll(".view")) {
-    const range = view.querySelector("input");
-    const set = (percent) => {
-      range.value = percent;
-      view.style.setProperty("--split", percent + "%");
+  root.querySelectorAll(".view").forEach(followView);
+}
+
+function followView(view) {
+  const range = view.querySelector("input");
+  // How many times larger, and which place of the picture (0 to 1) is in the middle.
+  let zoom = 1, x = 0.5, y = 0.5;
+
+  const split = (percent) => {
+    range.value = percent;
+    view.style.setProperty("--split", percent + "%");
+  };
+  const limited = (value, low, high) => Math.min(high, Math.max(low, value));
+  const look = (nextZoom, nextX, nextY) => {
+    zoom = limited(nextZoom, 1, MOST_ZOOM);
+    const edge = 0.5 / zoom;
+    x = limited(nextX, edge, 1 - edge);
+    y = limited(nextY, edge, 1 - edge);
+    view.style.setProperty("--zoom", zoom);
+    view.style.setProperty("--shift-x", 100 * (0.5 - zoom * x) + "%");
+    view.style.setProperty("--shift-y", 100 * (0.5 - zoom * y) + "%");
+    view.classList.toggle("zoomed", zoom > 1);
+    view.classList.toggle("near", zoom >= 4);
+  };
+  // The place (px, py) stays where it is on the screen.
+  const zoomAt = (factor, px, py) => {
+    const next = limited(zoom * factor, 1, MOST_ZOOM);
+    look(next, px - zoom * (px - x) / next, py - zoom * (py - y) / next);
+  };
+  const keys = {
+    "+": () => zoomAt(2, x, y), "=": () => zoomAt(2, x, y),
+    "-": () => zoomAt(0.5, x, y), "0": () => look(1, 0.5, 0.5),
+    ArrowLeft: () => look(zoom, x - 0.1 / zoom, y), ArrowRight: () => look(zoom, x + 0.1 / zoom, y),
+    ArrowUp: () => look(zoom, x, y - 0.1 / zoom), ArrowDown: () => look(zoom, x, y + 0.1 / zoom),
+  };
+
+  range.addEventListener("input", () => split(range.value));
+  for (const button of view.querySelectorAll("[data-zoom]")) {
+    const factor = Number(button.dataset.zoom);
+    button.addEventListener("click", () => factor ? zoomAt(factor, x, y) : look(1, 0.5, 0.5));
+  }
+  for (const stack of view.querySelectorAll(".stack")) {
+    const place = (event) => {
+      const box = stack.getBoundingClientRect();
+      const across = (event.clientX - box.left) / box.width, down = (event.clientY - box.top) / box.height;
+      return { across, px: x + (across - 0.5) / zoom, py: y + (down - 0.5) / zoom, box };
     };
-    range.addEventListener("input", () => set(range.value));
-    for (const stack of view.querySelectorAll(".stack")) {
-      const follow = (event) => {
-        if (event.pointerType === "touch" && event.type === "pointermove" && !event.isPrimary) return;
-        const box = stack.getBoundingClientRect();
-        set(Math.min(100, Math.max(0, 100 * (event.clientX - box.left) / box.width)));
-      };
-      stack.addEventListener("pointermove", follow);
-      stack.addEventListener("pointerdown", follow);
-    }
+    const follow = (event) => {
+      if (event.pointerType === "touch" && event.type === "pointermove" && !event.isPrimary) return;
+      if (zoom > 1 && event.buttons) {
+        if (event.type !== "pointermove") return stack.setPointerCapture(event.pointerId);
+        const { box } = place(event);
+        look(zoom, x - event.movementX / box.width / zoom, y - event.movementY / box.height / zoom);
+      } else {
+        split(limited(100 * place(event).across, 0, 100));
+      }
+    };
+    stack.addEventListener("pointermove", follow);
+    stack.addEventListener("pointerdown", follow);
+    stack.addEventListener("dblclick", (event) => { const at = place(event); zoomAt(2, at.px, at.py); });
+    stack.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey) return;  // the page scrolls; pinching a touchpad comes with this key
+      event.preventDefault();
+      const at = place(event);
+      zoomAt(2 ** (-event.deltaY / 200), at.px, at.py);
+    }, { passive: false });
+    stack.addEventListener("keydown", (event) => {
+      const arrow = event.key.startsWith("Arrow");
+      if (!(event.key in keys) || event.ctrlKey || event.metaKey || (arrow && zoom === 1)) return;
+      event.preventDefault();
+      keys[event.key]();
+    });
   }
 }
 """

@@ -52,12 +52,15 @@ class AlignedTrajectories:
         By the run's label; runs that could not be aligned are missing.
     reference:
         True poses, None where no run has any.
+    transforms:
+        By label, what maps a run's own world frame into the common one.
     remarks:
         What was aligned to what, and what could not be.
     """
 
     paths: Mapping[str, Trajectory]
     reference: Trajectory | None
+    transforms: Mapping[str, Similarity]
     remarks: tuple[str, ...]
 
 
@@ -112,23 +115,24 @@ def align_trajectories(trajectories: Mapping[str, Trajectories]) -> AlignedTraje
     first = next(iter(trajectories), "")
     target = reference if reference is not None else trajectories[first].found if trajectories else None
     paths: dict[str, Trajectory] = {}
+    transforms: dict[str, Similarity] = {}
     remarks: list[str] = []
     for label, item in trajectories.items():
         if target is item.found or target is None:
-            paths[label] = item.found
+            paths[label], transforms[label] = item.found, Similarity.identity()
             continue
         try:
             transform, how = _target_from_source(item.found, target)
         except StageError as error:
             remarks.append(f"{label} is not drawn: {error}")
             continue
-        paths[label] = item.found.mapped(transform)
+        paths[label], transforms[label] = item.found.mapped(transform), transform
         if how:
             remarks.append(f"{label}: {how}")
     if paths:
         onto = "the reference" if reference is not None else first
         remarks.insert(0, f"Aligned to {onto} by camera centres (Sim(3)).")
-    return AlignedTrajectories(paths, reference, tuple(remarks))
+    return AlignedTrajectories(paths, reference, transforms, tuple(remarks))
 
 
 def _target_from_source(source: Trajectory, target: Trajectory) -> tuple[Similarity, str]:

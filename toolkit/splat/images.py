@@ -83,6 +83,11 @@ class Pyramid:
         self._photos = photos
         self._smaller: dict[tuple[int, int], Photo] = {}
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the frames, in order."""
+        return [photo.name for photo in self._photos]
+
     def photo(self, index: int, shrink: int) -> Photo:
         """Return photo ``index`` with sides divided by ``shrink``."""
         if shrink == 1:

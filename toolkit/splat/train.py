@@ -25,7 +25,7 @@ from toolkit.splat.memory import free_memory, most_gaussians
 from toolkit.splat.pose_refine import PoseTargets, pose_change
 from toolkit.splat.train_settings import Schedule, TrainSettings
 from toolkit.splat.train_state import HistoryRow, TrainState, scene_fingerprint
-from toolkit.splat.trainer import STAGE, Trainer
+from toolkit.splat.trainer import STAGE, Observer, Trainer
 from toolkit.splat.warm_up import warm_up
 
 
@@ -43,7 +43,7 @@ class TrainResult:
         A row a step.
     seconds:
         Wall time, over all sessions, by what it was spent on: compile (of the kernels, before the first step),
-        photo, forward, loss, backward, optimiser, density, evaluation, checkpoint.
+        photo, forward, loss, backward, optimiser, density, evaluation, checkpoint, observer.
     extent:
         Of the scene, the unit of sizes and learning rates.
     changes:
@@ -120,6 +120,7 @@ def train_splats(
     device: str = "cpu",
     progress: Progress = silent,
     checkpoint_dir: Path | None = None,
+    observer: Observer | None = None,
 ) -> TrainResult:
     """Train Gaussians on the frames of the split ``train`` that have a pose.
 
@@ -138,6 +139,9 @@ def train_splats(
         raises :class:`Cancelled`, a last checkpoint is written.
     checkpoint_dir:
         Where checkpoints are written to, and where an interrupted run is picked up from; None: no checkpoints.
+    observer:
+        Called after each step with the training as it is; what it returns is told with the step's values. The
+        result is the same with and without.
 
     Raises
     ------
@@ -187,8 +191,9 @@ def train_splats(
     if state.step < settings.steps:
         state.seconds["compile"] = state.seconds.get("compile", 0.0) + warm_up(settings)
     targets = _pose_targets(scene, settings, extent)
-    Trainer(state, settings, extent, photos, test_photo, targets).run(progress, checkpoint_dir, made_with)
-    poses = _poses(state, photos)
+    trainer = Trainer(state, settings, extent, photos, test_photo, targets, observer)
+    trainer.run(progress, checkpoint_dir, made_with)
+    poses = trainer.poses()
     return TrainResult(
         gaussians=state.optimiser.gaussians.detach(),
         steps=state.step,
@@ -232,12 +237,6 @@ def _exposures(state: TrainState, photos: Iterable[Photo]) -> dict[str, list[lis
     if state.exposure is None:
         return {}
     return {photo.name: rows.tolist() for photo, rows in zip(photos, state.exposure.affine, strict=True)}
-
-
-def _poses(state: TrainState, photos: Iterable[Photo]) -> dict[str, RigidTransform]:
-    if state.poses is None:
-        return {}
-    return {photo.name: pose for photo, pose in zip(photos, state.poses.transforms(), strict=True)}
 
 
 def _pose_targets(scene: Scene, settings: TrainSettings, extent: float) -> PoseTargets | None:

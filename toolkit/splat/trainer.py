@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import torch
 from torch import Tensor
 
 from toolkit.errors import Cancelled, NumericalError
+from toolkit.geometry.rigid import RigidTransform
 from toolkit.metrics.image import psnr
 from toolkit.progress import Progress, ProgressEvent
 from toolkit.splat.checkpoint import save_checkpoint
@@ -33,6 +34,13 @@ STAGE: Final = "splat.train"
 MAX_PSNR: Final = 100.0
 
 
+class Observer(Protocol):
+    """Looks at a training after each step. It changes nothing of it and draws nothing from its generator."""
+
+    def __call__(self, training: Trainer) -> Mapping[str, float]:
+        """Return measurements to be told with those of the step, most often none."""
+
+
 class Trainer:
     """Moves a state step by step to the end of its schedule."""
 
@@ -44,10 +52,11 @@ class Trainer:
         photos: tuple[Photo, ...],
         test_photo: Photo | None,
         pose_targets: PoseTargets | None = None,
+        observer: Observer | None = None,
     ) -> None:
         self.state, self.settings, self.extent = state, settings, extent
         self.photos, self.test_photo = Pyramid(photos), test_photo
-        self.pose_targets = pose_targets
+        self.pose_targets, self.observer = pose_targets, observer
         self.schedule = Schedule.of(settings)
 
     def run(self, progress: Progress, folder: Path | None, made_with: dict[str, Any]) -> None:
@@ -69,6 +78,9 @@ class Trainer:
             }
             if row.psnr_test is not None:
                 values["psnr_test"] = row.psnr_test
+            if self.observer is not None:
+                with self._clock("observer"):
+                    values |= self.observer(self)
             try:
                 progress(ProgressEvent(STAGE, state.step, settings.steps, values=values))
             except Cancelled:
@@ -86,7 +98,7 @@ class Trainer:
         psnr_test = None
         if self.test_photo is not None and (step % self.settings.eval_every == 0 or step == self.settings.steps):
             with self._clock("evaluation"):
-                psnr_test = self._psnr_test(self.test_photo)
+                psnr_test = self.draw_test(self.test_photo)[1]
         row = HistoryRow(step, loss, len(state.optimiser.gaussians), psnr_test)
         state.history.append(row)
         state.step = step
@@ -167,14 +179,21 @@ class Trainer:
             return torch.rand(3, generator=self.state.generator).to(like)
         return fixed_background(self.settings, like)
 
-    def _psnr_test(self, photo: Photo) -> float:
+    def draw_test(self, photo: Photo) -> tuple[Tensor, float]:
+        """Return the view of a test photo as it is drawn now, (H, W, 3) from 0 to 1, and its PSNR in dB."""
         gaussians = self.state.optimiser.gaussians
         device = str(gaussians.means.device)
         render = draw(gaussians, photo, self.settings).colour[0].clamp(0, 1)
         weights = photo.weights(device)
         decibels = psnr(render, photo.colours(device), None if weights is None else weights > 0)
         # An identical picture has infinitely many, which a checkpoint's JSON cannot hold.
-        return min(decibels, MAX_PSNR)
+        return render, min(decibels, MAX_PSNR)
+
+    def poses(self) -> dict[str, RigidTransform]:
+        """Return the poses of the training photos as they are now, by name; none where they are not learned."""
+        if self.state.poses is None:
+            return {}
+        return dict(zip(self.photos.names, self.state.poses.transforms(), strict=True))
 
     @contextmanager
     def _clock(self, part: str) -> Iterator[None]:

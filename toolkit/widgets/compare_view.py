@@ -3,34 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
 
 import panel as pn
 import param
 
 from toolkit.errors import ToolkitError
+from toolkit.plots.style import shown
+from toolkit.runs.clouds import CloudKind
 from toolkit.runs.compare import Comparison, compare_runs
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.markup import element
 from toolkit.runs.measures import format_number
 from toolkit.runs.report_figures import CurveFigure, aligned_figure, curve_figures, psnr_figure, times_figure
 from toolkit.runs.report_html import (
-    VIEW_MODES,
     details_section,
-    measures_section,
     psnr_is_comparable,
     run_cards,
     run_dots,
     run_heads,
-    settings_section,
-    time_table,
     warning_list,
 )
+from toolkit.runs.report_tables import measures_section, paper_section, settings_section, time_table
 from toolkit.runs.report_views import PictureBook, ViewsByName, view_card, views_by_name
 from toolkit.widgets.pictures import PictureCard
-from toolkit.widgets.run_table import Stamp, stamp
 from toolkit.widgets.style import html_pane, notes, plot_pane, show_figure, show_html
 
-_PICTURE_WIDTH = 720
+# Wide enough to be zoomed: only one test picture is shown at a time.
+_PICTURE_WIDTH = 1440
+_MODES = {"slide": "Slide", "photo": "Photo", "render": "Render", "error": "Error map"}
+_CLOUDS = {"none": "", "initial points": "points", "centres of Gaussians": "gaussians"}
+#: Rows of the list of test pictures.
+_MOST_ROWS = 8
+
+Stamp = tuple[int | None, ...]
 
 
 class CompareView(pn.viewable.Viewer):
@@ -60,6 +67,8 @@ class CompareView(pn.viewable.Viewer):
         self._make_parts()
         self._layout = self._arranged()
         self._view_choice.param.watch(lambda event: setattr(self, "view", event.new or ""), "value")
+        self._view_chart.param.watch(self._clicked, "click_data")
+        self._clouds.param.watch(lambda event: self._draw_paths(), "value")
         self._axis.param.watch(lambda event: self._draw_curves(), "value")
         self._mode.param.watch(lambda event: setattr(self._card, "mode", event.new), "value")
 
@@ -98,30 +107,34 @@ class CompareView(pn.viewable.Viewer):
     def _make_parts(self) -> None:
         self._problems, self._cards, self._warnings = html_pane(), html_pane(), html_pane()
         self._measures, self._settings, self._details = html_pane(), html_pane(), html_pane()
+        self._paper = html_pane()
         self._view_choice = pn.widgets.Select(
-            label="Test picture, worst first", min_width=320, margin=(0, 12, 8, 0)
+            label="Test pictures, worst first", size=_MOST_ROWS, sizing_mode="stretch_width", margin=(0, 0, 8, 0)
         )
-        self._mode = _buttons(VIEW_MODES)
+        self._mode = _buttons("What the pictures show", _MODES)
         self._card = PictureCard(sizing_mode="stretch_width", margin=0)
         self._view_chart = plot_pane()
-        self._axis = _buttons({"step": "by step", "time": "by time"})
+        self._axis = _buttons("Horizontal axis", {"step": "by step", "time": "by time"})
         self._curve_remarks = html_pane()
         self._curve_panes: list[pn.pane.Plotly] = []
         self._curve_box = pn.FlexBox(sizing_mode="stretch_width", gap="14px", margin=0)
         self._paths, self._path_remarks = plot_pane(), html_pane()
+        self._clouds = pn.widgets.Select(label="Points", options=_CLOUDS, value="", width=220, margin=(0, 12, 8, 0))
         self._times, self._time_table = plot_pane(), html_pane()
 
     def _arranged(self) -> pn.Column:
         """Put the parts in their places; those without content are hidden by what fills them."""
         self._pictures = _section(
             "Test pictures",
-            pn.FlexBox(self._view_choice, self._mode, align_items="flex-end", sizing_mode="stretch_width"),
-            self._card,
-            pn.Spacer(height=14),
-            self._view_chart,
+            pn.FlexBox(
+                pn.Column(self._view_choice, self._view_chart, **_share("1 1 330px")),
+                pn.Column(self._mode, self._card, **_share("2 1 480px")),
+                gap="20px",
+                sizing_mode="stretch_width",
+            ),
         )
         self._curve_section = _section("Curves", self._curve_remarks, self._axis, self._curve_box)
-        self._path_section = _section("Camera paths", self._path_remarks, self._paths)
+        self._path_section = _section("Camera paths", self._clouds, self._path_remarks, self._paths)
         self._time_section = _section("Time by stage", self._times, pn.Spacer(height=14), self._time_table)
         tables = pn.FlexBox(_half(self._measures), _half(self._settings), gap="20px", sizing_mode="stretch_width")
         lower = pn.FlexBox(
@@ -129,13 +142,20 @@ class CompareView(pn.viewable.Viewer):
         )
         top = (self._problems, self._cards, self._warnings)
         return pn.Column(
-            *top, tables, self._pictures, self._curve_section, lower, self._details, sizing_mode="stretch_width"
+            *top,
+            tables,
+            self._paper,
+            self._pictures,
+            self._curve_section,
+            lower,
+            self._details,
+            sizing_mode="stretch_width",
         )
 
     def _show_text(self) -> None:
         comparison = self.comparison
         if comparison is None:
-            for pane in (self._cards, self._warnings, self._measures, self._settings):
+            for pane in (self._cards, self._warnings, self._measures, self._settings, self._paper):
                 show_html(pane)
             return
         heads = run_heads(comparison.runs)
@@ -143,6 +163,7 @@ class CompareView(pn.viewable.Viewer):
         show_html(self._warnings, warning_list(comparison.warnings))
         show_html(self._measures, measures_section(comparison, heads))
         show_html(self._settings, settings_section(comparison, heads))
+        show_html(self._paper, paper_section(comparison))
 
     def _show_results(self) -> None:
         """Show what comes with a result: pictures, paths and times, drawn anew when a run changes its state."""
@@ -152,14 +173,13 @@ class CompareView(pn.viewable.Viewer):
         show_figure(self._view_chart, psnr_figure(runs, self._found), dark=self._dark)
         options = {_view_label(self._found, name): name for name in self._found.names}
         kept = self.view if self.view in self._found.names else next(iter(self._found.names), "")
-        self._view_choice.param.update(options=options, value=kept or None)
+        rows = min(_MOST_ROWS, max(2, len(options)))
+        self._view_choice.param.update(options=options, value=kept or None, size=rows)
         self._pictures.visible = bool(self._found.names)
+        if kept == self.view:
+            self._show_view()
         self.view = kept
-        self._show_view()
-        paths, remarks = aligned_figure(runs)
-        show_figure(self._paths, paths, dark=self._dark)
-        show_html(self._path_remarks, notes(remarks))
-        self._path_section.visible = paths is not None or bool(remarks)
+        self._draw_paths()
         times = times_figure(runs)
         show_figure(self._times, times, dark=self._dark)
         self._time_section.visible = times is not None
@@ -174,8 +194,22 @@ class CompareView(pn.viewable.Viewer):
         self._view_choice.value = self.view
         runs = self.comparison.runs
         book, best = PictureBook(_PICTURE_WIDTH), psnr_is_comparable(self.comparison)
-        card = view_card(runs, self._found, self.view, run_dots(len(runs)), book, mark_best=best)
+        card = view_card(runs, self._found, self.view, run_dots(len(runs)), book, mark_best=best, errors=True)
         self._card.content = str(card)
+
+    def _clicked(self, event: param.parameterized.Event) -> None:
+        """Show the test picture whose mark in the chart was clicked."""
+        points = (event.new or {}).get("points") or [{}]
+        names = {shown(name): name for name in self._found.names}
+        self.pick(names.get(str(points[0].get("x")), ""))
+
+    def _draw_paths(self) -> None:
+        runs = self.comparison.runs if self.comparison else ()
+        kind = next((kind for kind in get_args(CloudKind) if kind == self._clouds.value), None)
+        paths, remarks = aligned_figure(runs, kind)
+        show_figure(self._paths, paths, dark=self._dark)
+        show_html(self._path_remarks, notes(remarks))
+        self._path_section.visible = paths is not None or bool(remarks)
 
     def _draw_curves(self) -> None:
         axis = self._axis.value
@@ -219,12 +253,13 @@ def _view_label(found: ViewsByName, name: str) -> str:
     return f"{name}   ({' / '.join(psnr)} dB)"
 
 
-def _buttons(options: dict[str, str]) -> pn.widgets.RadioButtonGroup:
+def _buttons(label: str, options: dict[str, str]) -> pn.widgets.RadioButtonGroup:
     return pn.widgets.RadioButtonGroup(
         options={text: value for value, text in options.items()},
         color="primary",
         variant="outline",
         stylesheets=[".bk-btn.bk-active { color: #ffffff !important; }"],
+        label=label,
         width=90 * len(options),
         margin=(0, 0, 8, 0),
     )
@@ -236,4 +271,21 @@ def _section(title: str, *content: pn.viewable.Viewable) -> pn.Column:
 
 def _half(content: pn.viewable.Viewable) -> pn.Column:
     """Return a column that shares its row where there is room for two."""
-    return pn.Column(content, sizing_mode="stretch_width", margin=0, styles={"flex": "1 1 480px", "min-width": "0"})
+    return pn.Column(content, **_share("1 1 480px"))
+
+
+def _share(flex: str) -> dict[str, Any]:
+    """Return what lets a column share its row with others, and take a row of its own on a narrow page."""
+    return {"sizing_mode": "stretch_width", "margin": 0, "styles": {"flex": flex, "min-width": "0"}}
+
+
+def stamp(run: RunFolder) -> Stamp:
+    """Return the times at which a run's files were written, None for those that are not there."""
+
+    def written(path: Path) -> int | None:
+        try:
+            return path.stat().st_mtime_ns
+        except OSError:
+            return None
+
+    return tuple(map(written, (run.record_file, run.status_file, run.metrics_file, run.result_file)))

@@ -34,7 +34,7 @@ class PictureCard(pn.custom.JSComponent):
     content:
         HTML of the card. Its pictures are data URLs: no address leads from the browser to a file.
     mode:
-        One of :data:`toolkit.runs.report_html.VIEW_MODES`.
+        One of :data:`toolkit.runs.report_html.VIEW_MODES`, or ``error`` for the maps of errors.
     """
 
     content = param.String(default="")

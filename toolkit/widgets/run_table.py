@@ -2,100 +2,118 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 import panel as pn
 import param
-from bokeh.models.widgets.tables import NumberFormatter
+from bokeh.document import Document
 
-from toolkit.runs.folder import RunFolder
-from toolkit.runs.index import RunSummary, run_folders, summarise
-from toolkit.runs.measures import format_seconds
+from toolkit.runs.catalogue import Catalogue, shared_catalogue
+from toolkit.runs.filters import RunFilter
+from toolkit.runs.index import RunSummary
+from toolkit.widgets.run_cells import COLUMNS, NUMBERS, changes, field, formatters, frame_of
 
 #: Runs that fit side by side on a laptop.
 MOST_CHOSEN = 4
-_LONGEST_REMARK = 160
-_COLUMNS = {
-    "name": "Name",
-    "state": "State",
-    "recipe": "Recipe",
-    "data": "Data",
-    "created": "Created (UTC)",
-    "time": "Time",
-    "psnr": "PSNR",
-    "ssim": "SSIM",
-    "pos": "POS",
-    "remark": "Progress or error",
-}
-_NUMBERS = {"psnr": 2, "ssim": 3, "pos": 4}
-_WIDTHS = {"name": 170, "state": 100, "recipe": 130, "data": 110, "created": 160, "time": 100, "remark": 280}
-_WIDTHS |= dict.fromkeys(_NUMBERS, 84)
+#: Rows that the browser gets at a time: with thousands of runs the rest stays on the server.
+PAGE_ROWS = 25
+#: Seconds of reading at a time; the next look at the disk goes on.
+_SLICE = 1.5
+#: Seconds for which a look at the disk by another page is good enough.
+_YOUNG = 1.0
+#: Seconds in which a browser may still build a new table: Panel's drops what it is sent meanwhile.
+_BUILDING = 3.0
+_WIDTHS = {"name": 170, "state": 100, "recipe": 130, "data": 110, "created": 160, "tags": 120}
+_WIDTHS |= {"remark": 280, **dict.fromkeys(NUMBERS, 84)}
 _SHEET = """
 .tabulator-row.tabulator-selected, .tabulator-row.tabulator-selected:hover {
   background: color-mix(in srgb, var(--accent) 14%, var(--card)) !important; color: var(--text) !important;
 }
+.tabulator .tabulator-footer .tabulator-page.active { color: var(--text) !important; font-weight: 700; }
+.tabulator .tabulator-row.tabulator-group, .tabulator .tabulator-row.tabulator-group:hover {
+  background: var(--line); color: var(--text); border-color: var(--line);
+}
+.tabulator .tabulator-row.tabulator-group span { color: var(--text); font-weight: 400; }
+.tabulator-row input:focus-visible { outline: 2px solid var(--accent); outline-offset: 2px; }
 """
 
-Stamp = tuple[int | None, ...]
+GroupBy = Literal["", "recipe", "data", "tags"]
 
 
-def stamp(run: RunFolder) -> Stamp:
-    """Return the times at which a run's files were written, None for those that are not there."""
+class _Table(pn.widgets.Tabulator):
+    """A table that gives a new browser the ticks of its page.
 
-    def written(path: Path) -> int | None:
-        try:
-            return path.stat().st_mtime_ns
-        except OSError:
-            return None
+    Panel gives it their places among all rows, in the order of the data.
+    """
 
-    return tuple(map(written, (run.record_file, run.status_file, run.metrics_file, run.result_file)))
+    def _get_properties(self, doc: Document | None = None) -> dict[str, Any]:
+        properties: dict[str, Any] = super()._get_properties(doc)
+        if self.pagination == "remote":
+            rows = self.current_view.iloc[(self.page - 1) * PAGE_ROWS : self.page * PAGE_ROWS]
+            ticked = set(self.value.index[self.selection])
+            here = [place for place, run_id in enumerate(rows.index) if run_id in ticked]
+            properties["source"].selected.indices = here
+        return properties
 
 
 class RunTable(pn.viewable.Viewer):
-    """All runs of a folder as rows with check boxes.
+    """The runs of a folder as rows with check boxes, a page at a time.
 
     Attributes
     ----------
     chosen:
-        Ids of the chosen runs, in the order in which they were chosen; always ids of :attr:`rows`.
+        Ids of the chosen runs, in the order in which they were chosen; always ids of :attr:`rows`. A filter hides
+        rows and leaves the choice.
     refused:
         Why the last choice was not taken as it was, empty otherwise.
+    gone:
+        Names of runs that were chosen and are not there any more, until the next choice.
     rows:
-        What is listed, by id, oldest first.
+        All runs by id, oldest first.
+    shown:
+        Ids of those that the filter keeps.
+    widget:
+        The table itself.
     """
 
     chosen = param.List(default=[], item_type=str)
     refused = param.String(default="")
+    gone = param.List(default=[], item_type=str)
 
     def __init__(self, runs_dir: Path) -> None:
         super().__init__()
-        self.rows: dict[str, RunSummary] = {}
-        self._runs_dir = runs_dir
-        self._stamps: dict[str, Stamp] = {}
-        self._filling = False
-        self._table = pn.widgets.Tabulator(
-            _frame([]),
-            selectable="checkbox",
-            show_index=False,
-            disabled=True,
-            titles=_COLUMNS,
-            widths=_WIDTHS,
-            sorters=[{"field": "created", "dir": "desc"}],
-            formatters=_formatters(),
-            text_align=dict.fromkeys((*_NUMBERS, "time"), "right"),
-            layout="fit_data_stretch",
-            sizing_mode="stretch_width",
-            max_height=330,
-            stylesheets=[_SHEET],
-            margin=0,
+        self.catalogue: Catalogue = shared_catalogue(runs_dir.resolve())
+        self.rows: Mapping[str, RunSummary] = {}
+        self.shown: list[str] = []
+        self._filter = RunFilter()
+        self._columns: tuple[str, ...] = ()
+        self._numeric: frozenset[str] = frozenset()
+        self._group: GroupBy = ""
+        self._order = ("created", True)
+        self._made_of: tuple[Mapping[str, RunSummary], tuple[str, ...], frozenset[str]] = (
+            self.rows,
+            (),
+            frozenset(),
         )
-        self._table.param.watch(self._ticked, "selection")
+        self._made = frame_of([], (), frozenset())
+        self._filling = False
+        self._looks = self.catalogue.looks
+        self._unsure = False
+        self.building()
+        self.widget = self._new_widget()
+        self._layout = pn.Column(self.widget, sizing_mode="stretch_width", margin=0)
 
     def __panel__(self) -> pn.viewable.Viewable:
-        return self._table
+        return self._layout
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Measures and settings that are shown beside what is always shown."""
+        return self._columns
 
     def refresh(self) -> bool:
         """Read what changed on the disk; return whether any row did.
@@ -105,24 +123,67 @@ class RunTable(pn.viewable.Viewer):
         RunError
             Where the folder may not be listed.
         """
-        folders = run_folders(self._runs_dir)
-        stamps = {run.id: stamp(run) for run in folders}
-        rows = {}
-        for run in folders:
-            known = self.rows.get(run.id)
-            # A run that works may die without writing anything: whether its process lives is asked each time.
-            fresh = known is None or known.state == "running" or stamps[run.id] != self._stamps[run.id]
-            rows[run.id] = summarise(run) if known is None or fresh else known
-        changed = rows != self.rows
-        self._stamps = stamps
-        if changed:
-            self._fill(rows)
-        return changed
+        # What another page of this server saw a moment ago is not looked for again.
+        catalogue = self.catalogue
+        if catalogue.looks == self._looks or time.monotonic() - catalogue.looked > _YOUNG:
+            catalogue.refresh(within=_SLICE)
+        self._looks = catalogue.looks
+        self._send_again()
+        old, self.rows = self.rows, self.catalogue.rows
+        if old == self.rows:
+            return False
+        self._fill()
+        lost = [old[run_id].label for run_id in self.chosen if run_id not in self.rows]
+        if lost:
+            self.gone = lost
+            self.chosen = [run_id for run_id in self.chosen if run_id in self.rows]
+        return True
+
+    def building(self) -> None:
+        """Note that browsers begin to build the table now."""
+        self._built = time.monotonic() + _BUILDING
+
+    def _send_again(self) -> None:
+        """Send the rows again where some were sent to a browser that may not have had its table yet."""
+        if self._unsure and time.monotonic() > self._built:
+            self._unsure = False
+            self.widget.param.trigger("value")
+
+    def narrow(self, kept: RunFilter) -> None:
+        """Show the runs that a filter keeps."""
+        if kept != self._filter:
+            self._filter = kept
+            self._fill(first_page=True)
+
+    def arrange(self, columns: Sequence[str], group: GroupBy, order: str, *, descending: bool) -> None:
+        """Show other columns (measures or settings by dotted name), in other groups and another order.
+
+        ``order`` is a key of :data:`~toolkit.widgets.run_cells.COLUMNS` or one of ``columns``.
+        """
+        arranged = (tuple(columns), group)
+        if arranged != (self._columns, self._group):
+            self._columns, self._group = arranged
+            self._numeric = frozenset(columns) & frozenset(self.catalogue.numbers())
+            self._order = (order, descending)
+            # A new table: one that is there does not take other columns and groups at once. It comes with its rows
+            # and ticks: what is sent while the browser still builds it would be lost.
+            self.widget = self._new_widget()
+            self._fill()
+            self._layout[:] = [self.widget]
+            self.building()
+            self._unsure = False
+        elif (order, descending) != self._order:
+            self._order = (order, descending)
+            self.widget.sorters = self._sorters()
 
     def choose(self, ids: Sequence[str]) -> list[str]:
         """Choose those of ``ids`` that are listed, at most :data:`MOST_CHOSEN`; return those that are not."""
+        if self.catalogue.unread and any(run_id not in self.rows for run_id in ids):
+            self.catalogue.refresh(within=0.0, first=ids)
+            self.rows = self.catalogue.rows
+            self._fill()
         known = [run_id for run_id in ids if run_id in self.rows]
-        self.refused = _too_many(len(known))
+        self.refused, self.gone = _too_many(len(known)), []
         self.chosen = known[:MOST_CHOSEN]
         self._tick()
         return [run_id for run_id in ids if run_id not in self.rows]
@@ -133,40 +194,83 @@ class RunTable(pn.viewable.Viewer):
         ordered = sorted(readable, key=lambda row: (row.state == "finished", row.created), reverse=True)
         self.choose([row.run.id for row in reversed(ordered[:2])])
 
-    def _fill(self, rows: dict[str, RunSummary]) -> None:
-        old, frame = self._table.value, _frame(list(rows.values()))
-        same_rows = list(rows) == list(self.rows)
-        self.rows = rows
+    def _new_widget(self) -> pn.widgets.Tabulator:
+        extra = {field(i): name for i, name in enumerate(self._columns)}
+        widget = _Table(
+            frame_of([], self._columns, self._numeric),
+            selectable="checkbox-single",
+            show_index=False,
+            disabled=True,
+            titles={**COLUMNS, **extra},
+            widths={**_WIDTHS, **dict.fromkeys(extra, 130)},
+            sorters=self._sorters(),
+            formatters=formatters(self._columns, self._numeric),
+            text_align=dict.fromkeys((*NUMBERS, *extra), "right"),
+            groupby=[self._group] if self._group else [],
+            # A page of a group is no group: they are made where all rows are.
+            pagination=None if self._group else "remote",
+            page_size=PAGE_ROWS,
+            layout="fit_data_stretch",
+            sizing_mode="stretch_width",
+            max_height=420,
+            stylesheets=[_SHEET],
+            margin=0,
+        )
+        widget.param.watch(self._ticked, "selection")
+        return widget
+
+    def _sorters(self) -> list[dict[str, str]]:
+        name, descending = self._order
+        sorted_by = field(self._columns.index(name)) if name in self._columns else name
+        sorters = [{"field": sorted_by, "dir": "desc" if descending else "asc"}]
+        return [{"field": self._group, "dir": "asc"}, *sorters] if self._group else sorters
+
+    def _fill(self, *, first_page: bool = False) -> None:
+        kept = [row for row in self.rows.values() if self._filter.keeps(row)]
+        shown = [row.run.id for row in kept]
+        old, frame = self.widget.value, self._all_cells().loc[shown]
+        same = shown == self.shown and list(old) == list(frame) and bool((old.dtypes == frame.dtypes).all())
+        self.shown = shown
+        self._unsure = self._unsure or time.monotonic() < self._built
         self._filling = True
         try:
-            if same_rows:
+            if same and len(old) == len(frame):
                 # Cell by cell, so that the table keeps its place while a run works.
-                changes = {name: _changes(old[name], frame[name]) for name in frame}
-                self._table.patch({name: cells for name, cells in changes.items() if cells}, as_index=False)
+                patch = {name: cells for name in frame if (cells := changes(old[name], frame[name]))}
+                if patch:
+                    self.widget.patch(patch, as_index=False)
             else:
-                self._table.value = frame
+                pages = max(1, -(-len(frame) // PAGE_ROWS))
+                self.widget.param.update(value=frame, page=1 if first_page else min(self.widget.page, pages))
         finally:
             self._filling = False
-        self.chosen = [run_id for run_id in self.chosen if run_id in rows]
         self._tick()
+
+    def _all_cells(self) -> pd.DataFrame:
+        """Return the cells of all rows, made again when rows or columns are others; filters choose from them."""
+        if self._made_of[0] is not self.rows or self._made_of[1:] != (self._columns, self._numeric):
+            self._made_of = (self.rows, self._columns, self._numeric)
+            self._made = frame_of(list(self.rows.values()), self._columns, self._numeric)
+        return self._made
 
     def _tick(self) -> None:
         """Put the ticks where the choice is."""
-        places = list(self.rows)
+        places = {run_id: place for place, run_id in enumerate(self.shown)}
         self._filling = True
         try:
-            self._table.selection = [places.index(run_id) for run_id in self.chosen]
+            self.widget.selection = [places[run_id] for run_id in self.chosen if run_id in places]
         finally:
             self._filling = False
 
     def _ticked(self, event: param.parameterized.Event) -> None:
         if self._filling:
             return
-        places = list(self.rows)
-        ticked = [places[i] for i in event.new if i < len(places)]
-        chosen = [run_id for run_id in self.chosen if run_id in ticked]
+        ticked = [self.shown[i] for i in event.new if i < len(self.shown)]
+        # Those that the filter hides stay chosen.
+        hidden = set(self.chosen) - set(self.shown)
+        chosen = [run_id for run_id in self.chosen if run_id in ticked or run_id in hidden]
         chosen += [run_id for run_id in ticked if run_id not in chosen]
-        self.refused = _too_many(len(chosen))
+        self.refused, self.gone = _too_many(len(chosen)), []
         self.chosen = chosen[:MOST_CHOSEN]
         if self.refused:
             self._tick()
@@ -174,49 +278,3 @@ class RunTable(pn.viewable.Viewer):
 
 def _too_many(count: int) -> str:
     return f"At most {MOST_CHOSEN} runs fit side by side: untick one first." if count > MOST_CHOSEN else ""
-
-
-def _frame(rows: Sequence[RunSummary]) -> pd.DataFrame:
-    """Return what the table shows, one row a run."""
-    cells = [_cells(row) for row in rows]
-    frame = pd.DataFrame(cells, columns=list(_COLUMNS), index=[row.run.id for row in rows])
-    return frame.astype({name: float if name in _NUMBERS else object for name in _COLUMNS})
-
-
-def _cells(row: RunSummary) -> dict[str, Any]:
-    metrics = row.metrics or {}
-    return {
-        "name": row.label,
-        "state": row.state,
-        "recipe": row.recipe,
-        "data": Path(row.data).name,
-        "created": row.created[:19].replace("T", " "),
-        "time": format_seconds(row.seconds) if row.seconds is not None else "–",
-        "psnr": metrics.get("test.psnr"),
-        "ssim": metrics.get("test.ssim"),
-        "pos": metrics.get("poses.sim3.pos"),
-        "remark": _remark(row),
-    }
-
-
-def _remark(row: RunSummary) -> str:
-    if row.error:
-        line = " ".join(row.error.split())
-        return line if len(line) <= _LONGEST_REMARK else line[: _LONGEST_REMARK - 1] + "…"
-    if row.state == "finished" or not row.stage:
-        return ""
-    return f"{row.stage} {row.done}" + (f" of {row.total}" if row.total is not None else "")
-
-
-def _formatters() -> dict[str, Any]:
-    """Return how cells are drawn: "plaintext" escapes what it shows."""
-    formatters: dict[str, Any] = {name: {"type": "plaintext"} for name in _COLUMNS}
-    for name, digits in _NUMBERS.items():
-        formatters[name] = NumberFormatter(format="0." + "0" * digits, nan_format="–")
-    return formatters
-
-
-def _changes(old: pd.Series, new: pd.Series) -> list[tuple[int, Any]]:
-    """Return place and value of cells that differ; two missing numbers do not."""
-    pairs = enumerate(zip(old, new, strict=True))
-    return [(i, b) for i, (a, b) in pairs if a != b and not (pd.isna(a) and pd.isna(b))]

@@ -1,27 +1,68 @@
-"""Serving the page of runs to browsers on this machine."""
+"""Serving the dashboard: to this machine alone, or with a password to a network."""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
+import secrets
 import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
 
 from toolkit.errors import RunError
+from toolkit.files import disk_errors
 from toolkit.optional import require
 
-_ADDRESS = "127.0.0.1"
+LOCAL: Final = "127.0.0.1"
+#: Fewer characters are guessed too soon.
+SHORTEST_PASSWORD: Final = 8
 
 
-def serve(runs_dir: Path, *, port: int = 5006, open_browser: bool = False) -> None:
-    """Serve the runs in ``runs_dir`` until Ctrl-C, to this machine alone.
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """To whom the dashboard is served.
+
+    Attributes
+    ----------
+    port:
+        Where it is found.
+    host:
+        Address that it listens on; any but this machine's own needs passwords.
+    passwords:
+        JSON file of names and their passwords, ``{"name": "password"}``; None: nobody is asked.
+    origins:
+        Further addresses ``host[:port]`` by which browsers reach it, as behind a proxy.
+    """
+
+    port: int = 5006
+    host: str = LOCAL
+    passwords: Path | None = None
+    origins: tuple[str, ...] = ()
+
+
+def serve(
+    runs_dir: Path,
+    data_dirs: Sequence[Path] = (),
+    opening: Opening | None = None,
+    *,
+    clusters: Sequence[str] = (),
+    open_browser: bool = False,
+) -> None:
+    """Serve the dashboard until Ctrl-C.
 
     Parameters
     ----------
     runs_dir:
         Folder of the runs; it need not be there yet.
-    port:
-        Where the page is found.
+    data_dirs:
+        Folders at and below which captures lie. New data go into the first one.
+    opening:
+        To whom; by default to this machine alone, at port 5006.
+    clusters:
+        Addresses of Dask schedulers on which sweeps may run.
     open_browser:
         Whether to open it.
 
@@ -30,28 +71,77 @@ def serve(runs_dir: Path, *, port: int = 5006, open_browser: bool = False) -> No
     MissingDependencyError
         Where Panel is not installed.
     RunError
-        Where the port is taken or may not be used.
+        Where the port is taken or may not be used, and where a network would get in without a password.
     """
     require("panel")
     from panel.io.server import get_server
 
-    from toolkit.widgets.page import TITLE, runs_page
+    from toolkit.widgets.dashboard import TITLE, dashboard
+    from toolkit.widgets.task import cancel_all
 
-    _refuse_taken(port)
+    opening = opening or Opening()
+    options = _protection(opening)
+    _refuse_taken(opening.host, opening.port)
     server = get_server(
-        lambda: runs_page(runs_dir),
-        port=port,
-        address=_ADDRESS,
+        lambda: dashboard(runs_dir, data_dirs, clusters=clusters),
+        port=opening.port,
+        address=opening.host,
         # Pages from elsewhere that a browser on this machine has open do not get in.
-        websocket_origin=[f"{_ADDRESS}:{port}", f"localhost:{port}"],
+        websocket_origin=[f"{host}:{opening.port}" for host in (LOCAL, "localhost")] + list(opening.origins),
         title=TITLE,
         show=open_browser,
+        **options,
     )
-    print(f"The runs in {runs_dir} are at http://localhost:{port} (Ctrl-C ends this)", flush=True)
+    place = "localhost" if opening.host == LOCAL else opening.host
+    print(f"The runs in {runs_dir} are at http://{place}:{opening.port} (Ctrl-C ends this)", flush=True)
     server.run_until_shutdown()
+    cancel_all()  # samples that are being made and sets that are being fetched
 
 
-def _refuse_taken(port: int) -> None:
+def _protection(opening: Opening) -> dict[str, Any]:
+    """Return Panel's settings of the log-in. Refuses to open to a network without one."""
+    if opening.passwords is None:
+        if opening.host not in (LOCAL, "localhost"):
+            raise RunError(
+                f"The dashboard would be open to everyone who reaches {opening.host}, to start and delete runs",
+                expected="passwords for whatever is not this machine alone",
+                todo='Give --passwords FILE with {"name": "password"}, or leave --host out; panel serve '
+                "dashboards/runs.py takes Panel's own options for OAuth",
+            )
+        return {}
+    return {
+        "basic_auth": _passwords(opening.passwords),
+        # Who has logged in has to do so again after a restart.
+        "cookie_secret": secrets.token_hex(32),
+    }
+
+
+def _passwords(path: Path) -> dict[str, str]:
+    with disk_errors(path, "reading"):
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError as error:
+            raise RunError(f"There is no file of passwords {path}") from error
+        except ValueError as error:
+            raise RunError(
+                f"{path} holds no passwords", expected='JSON, {"name": "password"}', found=str(error)
+            ) from error
+    fits = isinstance(found, dict) and all(isinstance(value, str) for value in found.values())
+    if not fits or not found:
+        raise RunError(
+            f"{path} holds no passwords", expected='JSON, {"name": "password"}', found=type(found).__name__
+        )
+    short = [name for name, password in found.items() if len(password) < SHORTEST_PASSWORD]
+    if short:
+        raise RunError(
+            f"Passwords in {path} are too short",
+            expected=f"at least {SHORTEST_PASSWORD} characters",
+            found="fewer for " + ", ".join(short),
+        )
+    return {str(name): str(password) for name, password in found.items()}
+
+
+def _refuse_taken(host: str, port: int) -> None:
     """Raise :class:`RunError` where ``port`` cannot be had. The server's own failure would leave sockets open."""
     if not 0 < port < 2**16:
         raise RunError(f"{port} is no port", expected="a number from 1 to 65535", todo="Choose another one")
@@ -60,7 +150,7 @@ def _refuse_taken(port: int) -> None:
             # A server that ended a moment ago keeps nobody out; elsewhere this would let two share a port.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((_ADDRESS, port))
+            probe.bind((host, port))
         except OSError as error:
             taken = error.errno == errno.EADDRINUSE
             raise RunError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,7 @@ import param
 from toolkit.errors import SettingsError
 from toolkit.runs.report_html import warning_list
 from toolkit.settings import Group, SettingRow, Settings
-from toolkit.widgets.style import html_pane, show_html
+from toolkit.widgets.style import SELECT, html_pane, show_html, switch
 
 _WIDTH = 250
 _CHANGED = "changed"
@@ -31,10 +32,13 @@ class SettingsForm(pn.viewable.Viewer):
         Dotted names of the settings that differ from the method's defaults, in order of declaration.
     error:
         Why the values do not go together; empty where they do.
+    edits:
+        Counts changes of values, for those who show something that depends on them.
     """
 
     changed = param.List(default=[], item_type=str)
     error = param.String(default="")
+    edits = param.Integer(default=0)
 
     def __init__(self, settings_type: type[Settings]) -> None:
         super().__init__()
@@ -44,9 +48,9 @@ class SettingsForm(pn.viewable.Viewer):
         self._widgets = {name: _widget(row, settings_type) for name, row in self._rows.items()}
         self._cards: dict[str, pn.Card] = {}
         self._message = html_pane()
-        self._search = pn.widgets.TextInput(placeholder="Find a setting …", width=_WIDTH, margin=(4, 8))
-        self._only_changed = pn.widgets.Checkbox(label="Only those that were changed", margin=(12, 8))
-        self._reset = pn.widgets.Button(label="Back to defaults", width=140, margin=(4, 8), disabled=True)
+        self._search = pn.widgets.TextInput(placeholder="Find a setting …", width=_WIDTH, margin=(4, 16, 4, 0))
+        self._only_changed = switch("Only those that were changed", margin=(4, 16, 4, 0))
+        self._reset = pn.widgets.Button(label="Back to defaults", width=140, margin=(4, 0), disabled=True)
         self._reset.on_click(lambda event: self.fill(self._type()))
         self._search.param.watch(lambda event: self._show(), "value_input")
         self._only_changed.param.watch(lambda event: self._show(), "value")
@@ -85,8 +89,7 @@ class SettingsForm(pn.viewable.Viewer):
         changed = [name for name, row in self._rows.items() if self._widgets[name].value != row.default]
         for name, widget in self._widgets.items():
             widget.css_classes = [_CHANGED] if name in changed else []
-        self.changed = changed
-        self.error = self._complaint()
+        self.param.update(changed=changed, error=self._complaint(), edits=self.edits + 1)
         show_html(self._message, warning_list([self.error]) if self.error else None)
         self._reset.disabled = not changed
         self._show()
@@ -123,11 +126,11 @@ class SettingsForm(pn.viewable.Viewer):
             self._cards[group] = pn.Card(
                 pn.FlexBox(*widgets, sizing_mode="stretch_width"),
                 title=_title(group, self._type),
-                collapsed=len(self._cards) > 0,
+                collapsed=len(groups) > 1,
                 sizing_mode="stretch_width",
                 margin=(4, 0),
             )
-        bar = pn.FlexBox(self._search, self._only_changed, self._reset)
+        bar = pn.FlexBox(self._search, self._only_changed, self._reset, align_items="center", margin=(8, 0))
         return pn.Column(bar, self._message, *self._cards.values(), sizing_mode="stretch_width")
 
 
@@ -143,20 +146,30 @@ def _title(group: str, settings_type: type[Settings]) -> str:
 def _widget(row: SettingRow, settings_type: type[Settings]) -> pn.widgets.Widget:
     """Return the widget of a setting; its label is the last part of its name, its help the declaration's."""
     declared = _declaration(row.name, settings_type)
-    label = row.name.rpartition(".")[2].replace("_", " ") + (f" ({row.unit})" if row.unit else "")
+    label = row.name.rpartition(".")[2].replace("_", " ")
+    if row.unit and not label.endswith(row.unit):  # "max features (features)" says it twice
+        label += f" ({row.unit})"
     unit = f" {row.unit}" if row.unit else ""
     help_text = f"{row.doc} {row.allowed[:1].upper()}{row.allowed[1:]}; default {row.default}{unit}."
-    options = {"value": row.default, "width": _WIDTH, "margin": (4, 8), "stylesheets": [_SHEET]}
+    options = {"value": row.default, "width": _WIDTH, "margin": (4, 8), "stylesheets": [_SHEET, SELECT]}
     if isinstance(declared, param.Boolean):
         choices = {"yes": True, "no": False}
         return pn.widgets.Select(label=label, description=help_text, options=choices, **options)
     if isinstance(declared, param.Selector):
         return pn.widgets.Select(label=label, description=help_text, options=list(declared.objects), **options)
     if isinstance(declared, param.Number):
-        low, high = declared.bounds or (None, None)
-        kind = pn.widgets.IntInput if isinstance(declared, param.Integer) else pn.widgets.FloatInput
-        return kind(label=label, description=help_text, start=low, end=high, **options)
+        # Without bounds: the browser would show what is beyond them and keep the value before to itself.
+        whole = isinstance(declared, param.Integer)
+        kind = pn.widgets.IntInput if whole else pn.widgets.FloatInput
+        step = _step(row.default, whole=whole)
+        return kind(label=label, description=help_text, step=step, **options)
     return pn.widgets.TextInput(label=label, description=help_text, **options)
+
+
+def _step(default: float, *, whole: bool) -> float:
+    """Return what an arrow adds: a tenth of the default's leading digit's place, or 1 for small whole numbers."""
+    place = 10.0 ** (math.floor(math.log10(abs(default))) - 1) if default else 0.1
+    return max(1, round(place)) if whole else place
 
 
 def _declaration(dotted: str, settings_type: type[Settings]) -> param.Parameter:

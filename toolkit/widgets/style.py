@@ -7,7 +7,9 @@ from typing import Any, ClassVar
 
 import panel as pn
 import plotly.graph_objects as go
-from panel.io.resources import CDN_DIST
+from bokeh.document import Document
+from bokeh.models import ImportedStyleSheet
+from panel.io.resources import CDN_DIST, get_dist_path, patch_stylesheet
 from panel.theme.fast import Fast
 
 from toolkit.runs.markup import Content, element
@@ -20,6 +22,31 @@ h2 { margin: 22px 0 10px; font-size: 17px; }
 .runs { margin-top: 10px; }
 .warnings { margin: 8px 0; }
 .view:has(figure:only-child) { max-width: 780px; }
+progress {
+  display: block; appearance: none; width: 100%; height: 10px; margin: 6px 0; border: 0; border-radius: 5px;
+  overflow: hidden; background: var(--line);
+}
+progress::-webkit-progress-bar { background: var(--line); }
+progress::-webkit-progress-value { background: var(--accent); }
+progress::-moz-progress-bar { background: var(--accent); }
+.live { max-width: 1120px; }
+.live h3 { margin-bottom: 8px; }
+.live img { display: block; width: 100%; height: auto; border-radius: 8px; }
+.live figcaption { margin: 6px 2px 0; font-size: 13px; }
+.badge.running { background: var(--accent); color: var(--card); }
+p.about { max-width: 78ch; margin: 2px 0 4px; }
+.said {
+  margin: 8px 0; padding: 10px 14px; border-radius: 12px; background: var(--best-ground); color: var(--best);
+}
+.stage { margin-top: 10px; overflow-wrap: anywhere; }
+.log {
+  display: flex; flex-direction: column-reverse; max-height: 320px; overflow: auto; border-radius: 12px;
+  background: var(--card); border: 1px solid var(--line);
+}
+.log pre {
+  flex: none; max-height: none; margin: 0; padding: 10px 14px; overflow: visible; background: none;
+  white-space: pre-wrap; overflow-wrap: anywhere;
+}
 """
 
 
@@ -32,8 +59,28 @@ class LocalFast(Fast):
         "bundle": True,
     }
 
+    # Of parts that come back to an open page, as in tabs, Panel does not know the page, and lets them take their
+    # styles from a server elsewhere.
+
+    @classmethod
+    def _patch_modifiers(
+        cls, doc: Document | None, modifiers: dict[str, Any], cache: dict[str, ImportedStyleSheet]
+    ) -> None:
+        super()._patch_modifiers(doc, modifiers, cache)
+        for sheet in modifiers.get("stylesheets", []):
+            if isinstance(sheet, ImportedStyleSheet):
+                patch_stylesheet(sheet, get_dist_path())
+
+    @classmethod
+    def _apply_params(
+        cls, viewable: Any, mref: str, modifiers: dict[str, Any], document: Document | None = None
+    ) -> None:
+        super()._apply_params(viewable, mref, modifiers, document or pn.state.curdoc)
+
 
 SHEETS = [RULES, _DENSE]
+#: Choices are as high as the fields beside them.
+SELECT = "select.bk-input { min-height: 40px; }"
 #: Of machines, not of a server.
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif"
 
@@ -57,6 +104,18 @@ def show_html(pane: pn.pane.HTML, *content: Content) -> None:
     """Show ``content``; a pane without any takes no room."""
     written = element("div", *content) if any(content) else ""
     pane.param.update(object=str(written), visible=bool(written))
+
+
+def switch(label: str, **options: Any) -> pn.widgets.Toggle:
+    """Return a button that stays pressed: Panel's check boxes have no label that a screen reader would find."""
+    return pn.widgets.Toggle(
+        label=label,
+        color="primary",
+        variant="outline",
+        stylesheets=[".bk-btn.bk-active { background: var(--accent) !important; color: var(--card) !important; }"],
+        width=9 * len(label),
+        **options,
+    )
 
 
 def notes(texts: Sequence[str]) -> Content:

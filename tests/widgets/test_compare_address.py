@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
-import socket
-import sys
 from pathlib import Path
 
 import panel as pn
@@ -12,25 +9,21 @@ import pytest
 from fake_recipe import MakeRun
 from panel.io.location import Location
 
-import toolkit
-from toolkit.errors import MissingDependencyError, RunError
 from toolkit.runs.folder import RunFolder
-from toolkit.widgets.page import TITLE, RunsPage, runs_page
-from toolkit.widgets.serve import serve
+from toolkit.widgets.address import Address
+from toolkit.widgets.compare_page import ComparePage
 
 pytestmark = pytest.mark.filterwarnings(r"ignore:The inplace keyword in DataFrame\.\w+ is deprecated")
 
 
-def said(page: RunsPage) -> str:
+def said(page: ComparePage) -> str:
     """Return all HTML that can be seen."""
-    return "\n".join(
-        pane.object for part in page.parts for pane in part.select(pn.pane.HTML) if pane.visible and pane.object
-    )
+    return "\n".join(pane.object for pane in page.__panel__().select(pn.pane.HTML) if pane.visible and pane.object)
 
 
-def opened(runs_dir: Path, search: str = "") -> tuple[RunsPage, Location]:
+def opened(runs_dir: Path, search: str = "") -> tuple[ComparePage, Location]:
     location = Location(search=search)
-    return RunsPage(runs_dir, location), location
+    return ComparePage(runs_dir, Address(location)), location
 
 
 def test_without_runs_it_says_what_to_do(runs_dir: Path, finished: MakeRun) -> None:
@@ -124,11 +117,11 @@ def test_too_many_runs_in_the_address_are_told(queued: MakeRun, runs_dir: Path) 
 def test_a_folder_that_refuses_is_told_and_comes_back(
     pair: list[RunFolder], runs_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(self: Path) -> None:
-        raise PermissionError(13, "Permission denied", str(self))
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
 
     with monkeypatch.context() as patched:
-        patched.setattr(Path, "iterdir", refuse)
+        patched.setattr("toolkit.runs.index.os.scandir", refuse)
         page, _ = opened(runs_dir)
         assert "Not allowed while listing" in said(page)
         assert "make demo" not in said(page)
@@ -137,48 +130,18 @@ def test_a_folder_that_refuses_is_told_and_comes_back(
     assert len(page.table.chosen) == 2
 
 
-def test_the_page_is_a_template_with_our_title(pair: list[RunFolder], runs_dir: Path) -> None:
-    template = runs_page(runs_dir)
-    assert isinstance(template, pn.template.FastListTemplate)
-    assert template.title == TITLE == "Sightline Toolkit"
-
-
-def test_the_dashboard_reads_the_folder_from_arguments_and_environment(
-    pair: list[RunFolder], runs_dir: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_page_that_waits_has_the_list_first_and_then_what_the_address_names(
+    pair: list[RunFolder], runs_dir: Path
 ) -> None:
-    file = Path(toolkit.__file__).parents[1] / "dashboards" / "runs.py"
-    monkeypatch.setattr(sys, "argv", [str(file), "--runs", str(runs_dir)])
-    asked: list[Path] = []
-
-    def remember(folder: Path) -> pn.template.FastListTemplate:
-        asked.append(folder)
-        return pn.template.FastListTemplate()
-
-    monkeypatch.setattr("toolkit.widgets.page.runs_page", remember)
-    runpy.run_path(str(file))
-    monkeypatch.setattr(sys, "argv", [str(file)])
-    monkeypatch.setenv("TOOLKIT_RUNS", "other")
-    runpy.run_path(str(file))
-    monkeypatch.delenv("TOOLKIT_RUNS")
-    runpy.run_path(str(file))
-    assert asked == [runs_dir, Path("other"), Path("runs")]
-
-
-def test_a_port_that_is_taken_is_told(runs_dir: Path) -> None:
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-        with pytest.raises(RunError, match=rf"Port {port} is taken by another program; expected a free port"):
-            serve(runs_dir, port=port)
-
-
-def test_a_number_that_is_no_port_is_told(runs_dir: Path) -> None:
-    with pytest.raises(RunError, match="70000 is no port; expected a number from 1 to 65535"):
-        serve(runs_dir, port=70000)
-
-
-def test_a_missing_panel_is_told(runs_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "panel", None)
-    with pytest.raises(MissingDependencyError, match=r"sightline-toolkit\[ui\]"):
-        serve(runs_dir)
+    location = Location(search=f"?runs={pair[1].id}&view=photo_4.png")
+    page = ComparePage(runs_dir, Address(location), wait=True)
+    assert page.table.chosen == [pair[1].id]
+    assert page.comparison.comparison is None
+    assert "The comparison follows." in said(page)
+    page.refresh()
+    assert location.search == f"?runs={pair[1].id}&view=photo_4.png"
+    page.open()
+    assert page.comparison.view == "photo_4.png"
+    assert "The comparison follows." not in said(page)
+    page.table.choose([pair[0].id])
+    assert page.comparison.comparison is not None
