@@ -6,6 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 DEMO := runs/demo
 # The page shows the demonstration's runs unless told otherwise.
 RUNS ?= $(DEMO)/runs
+DATA ?= $(DEMO)/data
 PORT ?= 5006
 VIEWER := toolkit/widgets/viewer
 
@@ -51,8 +52,8 @@ demo: $(VENV)/.core  ## Make a sample flight, run two methods on it, compare the
 lab: $(VENV)/.ui  ## Open the notebooks in JupyterLab.
 	$(BIN)/jupyter lab --config scripts/jupyter_config.py notebooks/00_tour.ipynb
 
-dashboard: $(VENV)/.ui viewer-if-npm  ## Serve the page of runs on this machine: RUNS=folder, PORT=number.
-	$(BIN)/toolkit dashboard --runs $(RUNS) --port $(PORT)
+dashboard: $(VENV)/.ui viewer-if-npm  ## Serve the dashboard on this machine: RUNS=folder, DATA=folder, PORT=number.
+	$(BIN)/toolkit dashboard --runs $(RUNS) --data $(DATA) $${TOOLKIT_DATA:+"$$TOOLKIT_DATA"} --port $(PORT)
 
 $(VIEWER)/dist/viewer.js: scripts/build_viewer.sh $(VIEWER)/package-lock.json $(VIEWER)/build.mjs $(wildcard $(VIEWER)/src/*.js)
 	@sh scripts/build_viewer.sh
@@ -66,13 +67,15 @@ viewer-if-npm:
 test: $(VENV)/.dev viewer-if-npm  ## Run the tests.
 	$(BIN)/python -m pytest
 
-bench: $(VENV)/.dev  ## Measure (three hours): rasterizer, training, poses, SLAM, real photos where TOOLKIT_DATA names them.
+bench: $(VENV)/.dev  ## Measure (three hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
 	$(BIN)/python tests/benchmarks/performance.py
 	$(BIN)/python tests/benchmarks/quality.py schedule --work runs/quality
 	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
 	$(BIN)/python tests/benchmarks/sensor_poses.py --runs runs/bench-sensors
 	$(BIN)/python tests/benchmarks/drone_poses.py --runs runs/bench-drone
 	$(BIN)/python tests/benchmarks/slam.py --work runs/bench-slam
+	$(BIN)/python tests/benchmarks/dashboard.py
+	$(BIN)/python tests/benchmarks/sweep.py
 
 lint: $(VENV)/.dev  ## Check style and types.
 	$(BIN)/ruff format --check .

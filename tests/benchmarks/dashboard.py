@@ -1,4 +1,4 @@
-"""Measures the page of runs with thousands of run folders: opening, filtering, memory, five browsers at once.
+"""Measures the dashboard with thousands of run folders: opening, filtering, memory, five browsers at once.
 
 ``python tests/benchmarks/dashboard.py [--runs 2000] [--folder runs/bench-dashboard] [--report-kb 20]`` on a machine
 with nothing else to do and Chromium; prints a table in Markdown. The folders are made once and taken again.
@@ -155,8 +155,8 @@ def served(folder: Path) -> Iterator[tuple[str, int]]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    app = Path(__file__).parents[1] / "widgets" / "compare_app.py"
-    command = [sys.executable, str(app), str(folder), str(port)]
+    command = [sys.executable, "-m", "toolkit", "dashboard", "--runs", str(folder), "--port", str(port)]
+    command += ["--data", str(folder / ".data")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import subprocess
@@ -35,6 +36,14 @@ def collect_problems(page: Page, problems: list[str]) -> None:
     page.on("console", lambda said: note(said.type, said.text))
     page.on("pageerror", lambda error: problems.append(f"page: {error} {error.stack}"))
     page.on("request", lambda request: check(request.url))
+
+
+def take_picture(page: Page, name: str) -> None:
+    """Keep what the page looks like, where ``TOOLKIT_SCREENSHOTS`` names a folder."""
+    folder = os.environ.get("TOOLKIT_SCREENSHOTS")
+    if folder:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        page.screenshot(path=Path(folder) / f"{name}.png")
 
 
 def free_port() -> int:

@@ -137,6 +137,21 @@ def test_only_what_lies_below_the_data_folders_can_be_chosen(
     assert waiting_runs(runs_dir) == []
 
 
+def test_a_capture_whose_pictures_lie_elsewhere_is_not_run(
+    open_page: Callable[..., RunPage], data: Path, tmp_path: Path, runs_dir: Path
+) -> None:
+    # What the capture refers to is looked at, not only where it lies.
+    secret = tmp_path / "secret.png"
+    photo = data / "flight" / "photo_1.png"
+    photo.rename(secret)
+    photo.symlink_to(secret)
+    page = open_page()
+    page.start()
+    wait(page)
+    assert "refers to photo_1.png outside the data folders" in said(page)
+    assert not list(runs_dir.glob("2*"))
+
+
 def test_another_tab_chooses_the_data(open_page: Callable[..., RunPage], data: Path, tmp_path: Path) -> None:
     page = open_page()
     page.choose_data(data / "garden")

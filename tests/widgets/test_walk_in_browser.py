@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browsing import ARGUMENTS, collect_problems, dashboard_server, free_port
+from browsing import ARGUMENTS, collect_problems, dashboard_server, free_port, take_picture
 from playwright.sync_api import Locator, Page, expect, sync_playwright
 
 from toolkit.runs.folder import RunFolder
@@ -128,10 +128,12 @@ def test_from_a_sample_to_two_runs_side_by_side(
         page.goto(address)
         page.get_by_label("Capture").select_option(label="town · scene.json, 9 photos")
         expect(page.locator("img[src^='data:image']").first).to_be_visible()
+        take_picture(page, "data")
         page.get_by_role("button", name="Run a method on it").click()
 
         expect(seen(page, page.get_by_label("Data"))).to_have_value(re.compile("town"))
         choose(page)
+        take_picture(page, "run")
         start(page, "first", "300")
         grows(page)
         tab(page, "Run")
@@ -142,6 +144,8 @@ def test_from_a_sample_to_two_runs_side_by_side(
         assert finish(named(runs_dir, "first")) == "finished"
         assert finish(named(runs_dir, "second")) == "finished"
         grows(page)
+        expect(page.get_by_text(re.compile("Render at step")).first).to_be_visible()
+        take_picture(page, "watch")
         seen(page, page.get_by_role("button", name="Cancel", exact=True)).click()
         assert finish(named(runs_dir, "too long")) == "cancelled"
 
@@ -158,11 +162,14 @@ def test_from_a_sample_to_two_runs_side_by_side(
         assert slider.screenshot() != before
         first = named(runs_dir, "first")
         assert first.id in page.url
+        take_picture(page, "compare")
 
         # The splat, in the browser's own graphics where they were built, else drawn by the server.
         tab(page, "View")
         shown = "canvas" if is_built() else "img"
         expect(seen(page, page.locator(shown))).to_be_visible()
+
+        take_picture(page, "view")
 
         # A run is at work while the server goes.
         tab(page, "Run")

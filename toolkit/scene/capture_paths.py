@@ -7,7 +7,7 @@ from pathlib import Path
 
 from toolkit.errors import DataError
 from toolkit.scene.capture_folders import require_below
-from toolkit.scene.dataset import Capture
+from toolkit.scene.dataset import Capture, open_capture
 
 
 def require_pictures_below(capture: Capture, roots: Sequence[Path]) -> Capture:
@@ -39,3 +39,16 @@ def require_pictures_below(capture: Capture, roots: Sequence[Path]) -> Capture:
                 todo="Copy them into the capture's folder",
             ) from error
     return capture
+
+
+def require_capture_below(folder: Path, roots: Sequence[Path]) -> Path:
+    """Return the folder of a capture that lies, with everything that it refers to, in ``roots``.
+
+    Raises
+    ------
+    DataError
+        Where it does not, or is no capture.
+    """
+    inside = require_below(folder, roots)
+    require_pictures_below(open_capture(inside, check=False), roots)
+    return inside

@@ -19,7 +19,7 @@ from toolkit.runs.markup import Content, Html, element
 from toolkit.runs.measures import format_seconds
 from toolkit.runs.report_html import warning_list
 from toolkit.runs.stop import let_wait
-from toolkit.scene.capture_folders import require_below
+from toolkit.scene.capture_paths import require_capture_below
 from toolkit.widgets.earlier_runs import EarlierRuns
 from toolkit.widgets.job import Job
 from toolkit.widgets.queue_list import QueueList
@@ -128,7 +128,7 @@ class RunPage(pn.viewable.Viewer):
     def _created(self, asked: Choice, progress: Progress) -> RunFolder:
         return create_run(
             asked.recipe,
-            require_below(asked.data, self._data_dirs),
+            require_capture_below(asked.data, self._data_dirs),
             asked.settings,
             self._runs_dir,
             seed=asked.seed,

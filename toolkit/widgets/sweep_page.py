@@ -13,7 +13,7 @@ from toolkit.runs.markup import element
 from toolkit.runs.report_html import warning_list
 from toolkit.runs.sweep import create_sweep, start_sweep
 from toolkit.runs.sweep_record import SweepFolder, list_sweeps
-from toolkit.scene.capture_folders import require_below
+from toolkit.scene.capture_paths import require_capture_below
 from toolkit.widgets.run_choice import RunChoice
 from toolkit.widgets.style import html_pane, show_html
 from toolkit.widgets.sweep_form import SweepForm
@@ -163,7 +163,7 @@ class SweepPage(pn.viewable.Viewer):
             asked = self.choice.asked()
             sweep = create_sweep(
                 asked.recipe,
-                require_below(asked.data, self._data_dirs),
+                require_capture_below(asked.data, self._data_dirs),
                 asked.settings,
                 self._runs_dir,
                 method=self.form.method,
