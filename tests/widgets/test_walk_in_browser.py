@@ -168,7 +168,9 @@ def test_from_a_sample_to_two_runs_side_by_side(
         tab(page, "View")
         shown = "canvas" if is_built() else "img"
         expect(seen(page, page.locator(shown))).to_be_visible()
+        expect(page.get_by_text(re.compile(r"^[\d,]+ Gaussians, 9 cameras"))).to_be_visible()
 
+        expect(page.get_by_text(re.compile("^Loading"))).to_be_hidden()
         take_picture(page, "view")
 
         # A run is at work while the server goes.

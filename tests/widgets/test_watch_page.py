@@ -71,16 +71,29 @@ def measured(run: RunFolder, steps: range, name: str = "loss") -> None:
     writer.close()
 
 
-def test_nothing_is_shown_before_a_run_is_chosen(runs_dir: Path, queued: MakeRun) -> None:
+def test_the_newest_run_is_shown_until_one_is_chosen(runs_dir: Path, queued: MakeRun, finished: MakeRun) -> None:
     page = WatchPage(runs_dir)
     assert "There are no runs yet." in said(page)
     run = queued(name="mine")
     page.refresh()
-    assert "Choose a run to follow it." in said(page)
-    assert run.id in find(page, "Run").options.values()
-    find(page, "Run").value = run.id
     assert page.selected == run.id
     assert "It waits for its turn." in said(page)
+    # Once something is shown it stays, whatever comes.
+    other = finished(name="later")
+    page.refresh()
+    assert page.selected == run.id
+    find(page, "Run").value = other.id
+    assert page.selected == other.id
+    find(page, "Run").value = ""
+    page.refresh()
+    assert page.selected == ""
+    assert "Choose a run to follow it." in said(page)
+
+
+def test_one_that_works_goes_before_newer_ones(runs_dir: Path, queued: MakeRun) -> None:
+    busy, _ = queued(name="works"), queued(name="waits")
+    works(busy, 1)
+    assert WatchPage(runs_dir).selected == busy.id
 
 
 def test_a_finished_run_is_shown_whole(runs_dir: Path, finished: MakeRun, odd_name: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final
 
 import panel as pn
 import param
@@ -12,12 +12,6 @@ from panel.io.location import Location
 
 from toolkit.runs.index import run_folders
 from toolkit.widgets.address import Address
-from toolkit.widgets.compare_page import ComparePage
-from toolkit.widgets.data_page import DataPage
-from toolkit.widgets.run_page import RunPage
-from toolkit.widgets.sweep_page import SweepPage
-from toolkit.widgets.view_page import ViewPage
-from toolkit.widgets.watch_page import WatchPage
 
 #: The tabs by their names in the address, from left to right.
 TABS: Final = {
@@ -28,24 +22,14 @@ TABS: Final = {
     "view": "View",
     "sweep": "Sweep",
 }
+#: What a tab holds: a Viewer with ``selected`` and ``refresh``, as each ``*_page.py`` says.
+Page = Any
 _SHEET = """
 .bk-header { border-bottom: 1px solid var(--line); margin-bottom: 10px; }
-.bk-tab { padding: 8px 14px; border-bottom-color: transparent; }
+.bk-tab { padding: 8px 14px; }
+.bk-tab:not(.bk-active) { border-color: transparent !important; }
 @media (max-width: 600px) { .bk-tab { padding: 8px 9px; font-size: 13px; } }
 """
-
-
-class Page(Protocol):
-    """What a tab holds."""
-
-    selected: str
-    param: param.parameterized.Parameters
-
-    def refresh(self) -> None:
-        """Read what changed on the disk."""
-
-    def __panel__(self) -> pn.viewable.Viewable:
-        """Return what is shown."""
 
 
 class Shell(pn.viewable.Viewer):
@@ -83,16 +67,7 @@ class Shell(pn.viewable.Viewer):
     ) -> None:
         super().__init__()
         self._address = Address(location)
-        self._makers: dict[str, Callable[[], Page]] = {
-            "data": lambda: DataPage(runs_dir, data_dirs, show=self.open_tab, dark=dark),
-            "run": lambda: RunPage(runs_dir, data_dirs, show=self.open_tab, dark=dark),
-            "watch": lambda: WatchPage(runs_dir, show=self.open_tab, dark=dark),
-            "compare": lambda: ComparePage(
-                runs_dir, self._address, show=self.open_tab, dark=dark, wait=self._loading
-            ),
-            "view": lambda: ViewPage(runs_dir, show=self.open_tab, dark=dark),
-            "sweep": lambda: SweepPage(runs_dir, data_dirs, clusters=clusters, show=self.open_tab, dark=dark),
-        }
+        self._runs_dir, self._data_dirs, self._clusters, self._dark = runs_dir, data_dirs, clusters, dark
         self.pages: dict[str, Page] = {}
         self._loading = location is not None
         # Tab and choice of the address as they were last read or written: other fields are none of the shell's.
@@ -118,7 +93,7 @@ class Shell(pn.viewable.Viewer):
         """Open a tab with something chosen in it: the path of a capture for ``"run"``, else the id of a run."""
 
         def choose(page: Page) -> None:
-            if isinstance(page, RunPage):
+            if tab == "run":
                 page.choose_data(Path(chosen))
             else:
                 page.selected = chosen
@@ -132,18 +107,46 @@ class Shell(pn.viewable.Viewer):
     def loaded(self) -> None:
         """Go on with what waited until the browser had the page."""
         self._loading = False
-        compare = self.pages.get("compare")
-        if isinstance(compare, ComparePage):
-            compare.open()
+        if "compare" in self.pages:
+            self.pages["compare"].open()
         self._read_address()
 
     def refresh(self) -> None:
         """Let the tab that is shown look at the disk."""
         self.pages[self.tab].refresh()
 
+    def _new_page(self, tab: str) -> Page:
+        # Imported only now: methods bring PyTorch along, hundreds of megabytes that comparing does without.
+        shared: dict[str, Any] = {"show": self.open_tab, "dark": self._dark}
+        match tab:
+            case "data":
+                from toolkit.widgets.data_page import DataPage
+
+                return DataPage(self._runs_dir, self._data_dirs, **shared)
+            case "run":
+                from toolkit.widgets.run_page import RunPage
+
+                return RunPage(self._runs_dir, self._data_dirs, **shared)
+            case "watch":
+                from toolkit.widgets.watch_page import WatchPage
+
+                return WatchPage(self._runs_dir, **shared)
+            case "view":
+                from toolkit.widgets.view_page import ViewPage
+
+                return ViewPage(self._runs_dir, **shared)
+            case "sweep":
+                from toolkit.widgets.sweep_page import SweepPage
+
+                return SweepPage(self._runs_dir, self._data_dirs, clusters=self._clusters, **shared)
+            case _:
+                from toolkit.widgets.compare_page import ComparePage
+
+                return ComparePage(self._runs_dir, self._address, wait=self._loading, **shared)
+
     def _make(self, tab: str, prepare: Callable[[Page], None] | None = None) -> None:
         """Make a tab's page. A browser has to get it as it is to be: what it has not drawn yet it cannot change."""
-        page = self._makers[tab]()
+        page = self._new_page(tab)
         if prepare is not None:
             prepare(page)
         page.refresh()
