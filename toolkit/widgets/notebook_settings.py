@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import param
@@ -34,7 +33,6 @@ class SettingsBox:
         self._ipywidgets = require("ipywidgets")
         self._type = settings if isinstance(settings, type) else type(settings)
         self._rows = {row.name: row for row in self._type.table()}
-        self._listeners: list[Callable[[], None]] = []
         self._filling = False
         self.widgets: dict[str, Any] = {name: self._widget(row) for name, row in self._rows.items()}
         self._message = self._ipywidgets.HTML()
@@ -71,10 +69,6 @@ class SettingsBox:
             self._filling = False
         self._take()
 
-    def when_changed(self, listener: Callable[[], None]) -> None:
-        """Call ``listener`` after every change."""
-        self._listeners.append(listener)
-
     def _take(self) -> None:
         if self._filling:
             return
@@ -89,8 +83,6 @@ class SettingsBox:
             self._message.value = ""
         except SettingsError as error:
             self._message.value = str(element("div", str(error), style="color: #b3261e"))
-        for listener in self._listeners:
-            listener()
 
     def _groups(self) -> list[str]:
         return list(dict.fromkeys(_group(name) for name in self._rows))
