@@ -7,10 +7,12 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from toolkit.errors import DataError, RunError
 
@@ -36,6 +38,36 @@ def disk_errors(path: Path, doing: str) -> Iterator[None]:
                 todo="Choose another folder, or move away what is there",
             ) from error
         raise
+
+
+@contextmanager
+def held_lock(path: Path, refused: Callable[[], RunError], *, patience: float = 0.0) -> Iterator[None]:
+    """Hold a lock file for this process alone; the system lets go of it where the process dies.
+
+    Parameters
+    ----------
+    path:
+        Of the file, made where it is missing.
+    refused:
+        Returns what is raised where another process holds it.
+    patience:
+        Seconds to wait for that one.
+
+    Raises
+    ------
+    RunError
+        That of ``refused``, and where the disk refuses.
+    """
+    with disk_errors(path.parent, "locking"):
+        lock = FileLock(path, timeout=patience)
+        try:
+            lock.acquire()
+        except Timeout as error:
+            raise refused() from error
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def require_free_space(path: Path, doing: str) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from toolkit.capture.frames import PictureSettings
 from toolkit.matching.features import SiftSettings
 from toolkit.matching.match import MatchSettings
 from toolkit.matching.pairs import PairSettings
@@ -17,14 +16,20 @@ from toolkit.poses.sensor_refine import SensorSfmSettings
 from toolkit.poses.slam.merge import MergeSettings
 from toolkit.poses.slam.orb_pnp import OrbPnpSettings
 from toolkit.poses.slam.orbslam3 import OrbSlam3Settings
-from toolkit.poses.slam.vocabulary import VocabularySettings
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
 from toolkit.recipes.cached import CachedStage
 from toolkit.recipes.flight_video import film_of
 from toolkit.recipes.sensor_3dgs import sensor_stages
-from toolkit.recipes.slam_stages import orb_pnp_tracker, orbslam3_tracker, place_stage, slam_metrics, track_stage
+from toolkit.recipes.slam_stages import (
+    VideoSettings,
+    orb_pnp_tracker,
+    orbslam3_tracker,
+    place_stage,
+    slam_metrics,
+    track_stage,
+)
 from toolkit.recipes.steps import PosedStages, train_and_measure
-from toolkit.settings import Choice, Group, Integer, Settings, Text
+from toolkit.settings import Choice, Group, Settings
 from toolkit.splat.train_settings import TrainSettings
 
 
@@ -38,17 +43,9 @@ class SlamJoinSettings(Settings):
         "in place of the gimbal's. For flights whose attitudes or positions are bad or missing; it costs the time "
         "of the whole video, but for one that another method's run has tracked already.",
     )
-    pictures = Group(PictureSettings(), doc="How the video's frames are written for SLAM")
+    video = Group(VideoSettings(), doc="Frames and visual words")
     orb_pnp = Group(OrbPnpSettings(), doc="Our own SLAM (slam.backend=orb-pnp)")
     orbslam3 = Group(OrbSlam3Settings(), doc="ORB-SLAM3 (slam.backend=orbslam3)")
-    vocabulary = Text(
-        "",
-        doc="File of visual words for ORB-SLAM3 (toolkit vocabulary); empty: trained from the flight's own frames.",
-    )
-    words = Group(VocabularySettings(), doc="Training of the visual words, where no file is given")
-    word_frames = Integer(
-        200, bounds=(1, 100_000), unit="frames", doc="Most frames of the video that words are trained from, evenly."
-    )
     merge = Group(MergeSettings(), doc="How GPS joins and places what was tracked")
 
 
@@ -103,10 +100,10 @@ def _slam_stages(
         return (), {}
     film = film_of(data)
     if settings.backend == "orbslam3":
-        tracker = orbslam3_tracker(film, settings.orbslam3, settings, context)
+        tracker = orbslam3_tracker(film, settings.orbslam3, settings.video, context)
     else:
         tracker = orb_pnp_tracker(settings.orb_pnp)
-    tracked = track_stage(data, film, tracker, settings.pictures, context)
+    tracked = track_stage(data, film, tracker, settings.video.pictures, context)
     placed = place_stage(data, tracked, "merge", settings.merge, context)
     return (*tracker.before, tracked, placed), slam_metrics(tracked, placed)
 

@@ -20,13 +20,13 @@ from toolkit.poses.slam.orb_pnp import OrbPnpSettings
 from toolkit.poses.slam.orbslam3 import OrbSlam3Settings
 from toolkit.poses.slam.points import SlamPointSettings, slam_points
 from toolkit.poses.slam.result_files import frames_file
-from toolkit.poses.slam.vocabulary import VocabularySettings
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
 from toolkit.recipes.cached import CachedStage, cached_stage
 from toolkit.recipes.flight_video import Film, film_of
 from toolkit.recipes.slam_stages import (
     SEGMENTS,
     Tracker,
+    VideoSettings,
     orb_pnp_tracker,
     orbslam3_tracker,
     place_stage,
@@ -35,7 +35,7 @@ from toolkit.recipes.slam_stages import (
 )
 from toolkit.recipes.steps import SCENE, PosedStages, sfm_metrics, train_and_measure
 from toolkit.scene.folder import read_scene, write_scene
-from toolkit.settings import Choice, Group, Integer, Settings, Text
+from toolkit.settings import Choice, Group, Settings
 from toolkit.splat.pose_presets import pose_preset_settings
 
 TRAJECTORIES = "slam_trajectories"
@@ -59,18 +59,10 @@ class SlamNoposegsSettings(Settings):
     train = Group(pose_preset_settings("poses-short"), doc="Gaussian splats and refined poses")
 
 
-class OrbslamNoposegsSettings(SlamNoposegsSettings):
+class OrbslamNoposegsSettings(SlamNoposegsSettings, VideoSettings):
     """Settings of every stage of ORBSLAM-NoposeGS."""
 
     slam = Group(OrbSlam3Settings(), doc="ORB-SLAM3")
-    vocabulary = Text(
-        "",
-        doc="File of visual words for ORB-SLAM3 (toolkit vocabulary); empty: trained from the flight's own frames.",
-    )
-    words = Group(VocabularySettings(), doc="Training of the visual words, where no file is given")
-    word_frames = Integer(
-        200, bounds=(1, 100_000), unit="frames", doc="Most frames of the video that words are trained from, evenly."
-    )
 
 
 class OrbPnpNoposegsSettings(SlamNoposegsSettings):

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from toolkit.recipes.cached import CachedStage, cached_stage
 from toolkit.recipes.flight_video import Film, scene_by_video
 from toolkit.recipes.steps import SCENE
 from toolkit.scene.folder import write_scene
-from toolkit.settings import Settings
+from toolkit.settings import Group, Integer, Settings, Text
 from toolkit.workspace import file_fingerprint
 
 #: Folder of all segments in what stage slam keeps.
@@ -42,13 +42,18 @@ _VOCABULARY = "words.txt"
 _WORK = "slam"
 
 
-class WordSettings(Protocol):
-    """Where ORB-SLAM3's visual words come from: a file, or as many frames of the video."""
+class VideoSettings(Settings):
+    """What SLAM is given: the video's frames, and for ORB-SLAM3 its visual words."""
 
-    vocabulary: str
-    words: VocabularySettings
-    word_frames: int
-    pictures: PictureSettings
+    pictures = Group(PictureSettings(), doc="How the video's frames are written for SLAM")
+    vocabulary = Text(
+        "",
+        doc="File of visual words for ORB-SLAM3 (toolkit vocabulary); empty: trained from the flight's own frames.",
+    )
+    words = Group(VocabularySettings(), doc="Training of the visual words, where no file is given")
+    word_frames = Integer(
+        200, bounds=(1, 100_000), unit="frames", doc="Most frames of the video that words are trained from, evenly."
+    )
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class Tracker:
     before: tuple[CachedStage, ...] = ()
 
 
-def orbslam3_tracker(film: Film, slam: OrbSlam3Settings, words: WordSettings, context: RecipeContext) -> Tracker:
+def orbslam3_tracker(film: Film, slam: OrbSlam3Settings, words: VideoSettings, context: RecipeContext) -> Tracker:
     """Return ORB-SLAM3, with visual words that are trained where no file is given.
 
     Raises
@@ -99,7 +104,7 @@ def orb_pnp_tracker(slam: OrbPnpSettings) -> Tracker:
     return Tracker(OrbPnp(slam), slam)
 
 
-def _vocabulary_stage(film: Film, settings: WordSettings, context: RecipeContext) -> CachedStage:
+def _vocabulary_stage(film: Film, settings: VideoSettings, context: RecipeContext) -> CachedStage:
     """Return the stage that trains visual words from frames of the video."""
     numbers = np.unique(np.linspace(0, film.frames - 1, min(settings.word_frames, film.frames)).round().astype(int))
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Protocol
 
 from toolkit.errors import Cancelled, RunError
 from toolkit.files import disk_errors, write_text
 from toolkit.progress import ProgressEvent
-from toolkit.runs.folder import RunFolder
 from toolkit.runs.status import RunStatus, utc_now, write_status
 
 _REQUEST = ".cancel"
@@ -15,13 +17,37 @@ _REQUEST = ".cancel"
 LOOK_EVERY = 0.25
 
 
-def request_cancel(run: RunFolder, reason: str = "Cancelled") -> None:
-    """Ask whoever works on a run to stop at its next event; one that waits for its turn is cancelled at once.
+class Cancellable(Protocol):
+    """A folder that a process works on: a run, or a sweep."""
+
+    @property
+    def id(self) -> str:
+        """The folder's name."""
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+
+    @property
+    def status_file(self) -> Path:
+        """Where it is."""
+
+    def status(self) -> RunStatus:
+        """Return where it is, judged by whether its process lives."""
+
+    def held(self) -> AbstractContextManager[None]:
+        """Hold it for this process alone."""
+
+
+def request_cancel(work: Cancellable, reason: str = "Cancelled", *, what: str = "Run") -> None:
+    """Ask whoever works on it to stop at its next event; one that waits for its turn is cancelled at once.
 
     Parameters
     ----------
     reason:
-        First words of what the run's status and log will say.
+        First words of what status and log will say.
+    what:
+        What it is, for messages.
 
     Raises
     ------
@@ -30,30 +56,37 @@ def request_cancel(run: RunFolder, reason: str = "Cancelled") -> None:
     DataError
         Where its status is damaged.
     """
-    state = run.status().state
+    state = work.status().state
     if state == "queued":
-        with run.held():  # nobody begins meanwhile
-            if run.status().state == "queued":
-                write_status(run.status_file, RunStatus("cancelled", error=f"{reason} before it began."))
+        with work.held():  # nobody begins meanwhile
+            if work.status().state == "queued":
+                write_status(work.status_file, RunStatus("cancelled", error=f"{reason} before it began."))
                 return
     elif state != "running":
         raise RunError(
-            f"Run {run.id} cannot be cancelled", expected="one that waits or works", found=f"one that is {state}"
+            f"{what} {work.id} cannot be cancelled",
+            expected="one that waits or works",
+            found=f"one that is {state}",
         )
-    write_text(run.path / _REQUEST, f"{utc_now()}\n{reason}\n")
+    write_text(work.path / _REQUEST, f"{utc_now()}\n{reason}\n")
 
 
-def forget_request(run: RunFolder) -> None:
-    """Take back what was asked of an earlier work on the run. Raises :class:`RunError` where the disk refuses."""
-    with disk_errors(run.path, "writing"):
-        (run.path / _REQUEST).unlink(missing_ok=True)
+def cancel_requested(work: Cancellable) -> bool:
+    """Whether somebody asked for it to stop."""
+    return (work.path / _REQUEST).exists()
+
+
+def forget_request(work: Cancellable) -> None:
+    """Take back what was asked of an earlier work on it. Raises :class:`RunError` where the disk refuses."""
+    with disk_errors(work.path, "writing"):
+        (work.path / _REQUEST).unlink(missing_ok=True)
 
 
 class CancelRequests:
     """A listener that raises :class:`Cancelled` once somebody asked for it in the run's folder."""
 
-    def __init__(self, run: RunFolder) -> None:
-        self._file = run.path / _REQUEST
+    def __init__(self, work: Cancellable) -> None:
+        self._file = work.path / _REQUEST
         self._looked = -LOOK_EVERY
 
     def __call__(self, event: ProgressEvent) -> None:

@@ -18,10 +18,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from toolkit.errors import RunError
-from toolkit.files import disk_errors
+from toolkit.files import disk_errors, held_lock
 from toolkit.runs.filters import number_names
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.index import RunSummary, run_folders, summarise
@@ -195,15 +193,12 @@ class Catalogue:
     def _alone(self, folder: Path) -> Iterator[None]:
         with disk_errors(folder, "writing"):
             folder.mkdir(exist_ok=True)
-            lock = FileLock(folder / "lock", timeout=_PATIENCE)
-            try:
-                lock.acquire()
-            except Timeout as error:
-                raise RunError(f"The index {folder} is in use", found=f"a lock for {_PATIENCE:.0f} s") from error
-        try:
+
+        def refused() -> RunError:
+            return RunError(f"The index {folder} is in use", found=f"a lock for {_PATIENCE:.0f} s")
+
+        with held_lock(folder / "lock", refused, patience=_PATIENCE):
             yield
-        finally:
-            lock.release()
 
 
 @lru_cache(maxsize=8)

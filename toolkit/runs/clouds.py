@@ -18,8 +18,6 @@ CloudKind = Literal["points", "gaussians"]
 MOST_POINTS = 20_000
 #: Share of points at either end of each axis that is left out: single far points would make the rest a dot.
 _TAIL = 0.02
-#: Of the constant term of spherical harmonics, 1 / (2 sqrt(pi)).
-_SH_CONSTANT = 0.28209479177387814
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,9 +75,10 @@ def _points(run: RunFolder) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
 def _gaussians(run: RunFolder) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     if not run.splat_file.is_file():
         raise RunError(f"Run {run.id} has no splat", expected="a finished run of a method that makes one")
+    from toolkit.splat.gaussians import SH_C0
     from toolkit.splat.ply import read_splats
 
     gaussians = read_splats(run.splat_file)
-    colours = 0.5 + _SH_CONSTANT * gaussians.sh[:, 0].detach().cpu().numpy()
+    colours = 0.5 + SH_C0 * gaussians.sh[:, 0].detach().cpu().numpy()
     rgb = np.rint(np.clip(colours, 0.0, 1.0) * 255.0).astype(np.uint8)
     return gaussians.means.detach().cpu().numpy().astype(np.float64), rgb

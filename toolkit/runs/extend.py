@@ -11,7 +11,7 @@ from toolkit.progress import Progress, silent
 from toolkit.recipes.base import Recipe
 from toolkit.runs.estimate import STEPS
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.launch import create_run
+from toolkit.runs.launch import create_run, require_same_data
 from toolkit.runs.record import RunRecord
 
 
@@ -94,7 +94,7 @@ def extend_run(
         progress=progress,
     )
     try:
-        _require_same_data(run, record, made)
+        require_same_data(run, record, made.record().data_fingerprint)
         made_with = {**last.state["made_with"]}
         made_with["settings"] = {**made_with["settings"], "steps": steps}
         save_checkpoint(
@@ -136,14 +136,3 @@ def finished_steps(run: RunFolder, record: RunRecord | None = None) -> int:
             todo="Start a new run with more steps",
         )
     return steps
-
-
-def _require_same_data(run: RunFolder, record: RunRecord, made: RunFolder) -> None:
-    now = made.record().data_fingerprint
-    if now != record.data_fingerprint:
-        raise RunError(
-            f"The data of run {run.id} changed since it was created",
-            expected=f"{record.data} with fingerprint {record.data_fingerprint[:12]}",
-            found=f"fingerprint {now[:12]}",
-            todo="Put the pictures back, or start a new run",
-        )

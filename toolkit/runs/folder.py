@@ -9,10 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from toolkit.errors import DataError, RunError
-from toolkit.files import disk_errors, read_json, write_json, write_text
+from toolkit.files import disk_errors, held_lock, read_json, write_json, write_text
 from toolkit.runs.curves import Curves, read_curves
 from toolkit.runs.names import is_run_id
 from toolkit.runs.record import RunRecord
@@ -118,20 +116,16 @@ class RunFolder:
         RunError
             Where another process holds it; the message names it.
         """
-        with disk_errors(self.path, "locking"):
-            lock = FileLock(self.path / ".lock", timeout=0)
-            try:
-                lock.acquire()
-            except Timeout as error:
-                raise RunError(
-                    f"Run {self.id} is in use",
-                    found=self._holder(),
-                    todo="Wait until it ends, or stop that process and resume the run",
-                ) from error
-        try:
+
+        def refused() -> RunError:
+            return RunError(
+                f"Run {self.id} is in use",
+                found=self._holder(),
+                todo="Wait until it ends, or stop that process and resume the run",
+            )
+
+        with held_lock(self.path / ".lock", refused):
             yield
-        finally:
-            lock.release()
 
     def _holder(self) -> str:
         """Say who works on the run, as far as its status tells."""

@@ -228,15 +228,19 @@ def _open_same(run: RunFolder, record: RunRecord, book: Journal, progress: Progr
     capture = open_capture(Path(record.data), check=False)
     for warning in capture.warnings:
         book.log(f"warning: {warning}")
-    now = capture_fingerprint(capture.scene, progress=progress)
-    if now != record.data_fingerprint:
+    require_same_data(run, record, capture_fingerprint(capture.scene, progress=progress))
+    return capture
+
+
+def require_same_data(run: RunFolder, record: RunRecord, fingerprint: str) -> None:
+    """Raise :class:`RunError` where the data of a run have another fingerprint now."""
+    if fingerprint != record.data_fingerprint:
         raise RunError(
             f"The data of run {run.id} changed since it was created",
             expected=f"{record.data} with fingerprint {record.data_fingerprint[:12]}",
-            found=f"fingerprint {now[:12]}",
+            found=f"fingerprint {fingerprint[:12]}",
             todo="Put the pictures back, or start a new run",
         )
-    return capture
 
 
 def _log_changes(book: Journal, record: RunRecord) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +17,8 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from toolkit.errors import DataError, RunError
-from toolkit.files import disk_errors, write_text
+from toolkit.files import disk_errors, held_lock, write_text
+from toolkit.runs.detached import start_detached
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.names import is_run_id
 
@@ -78,21 +78,18 @@ def work(runs_dir: Path) -> int:
     RunError
         Where another process does so already, and where the disk refuses.
     """
-    lock = FileLock(_folder(runs_dir) / _LOCK, timeout=0)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        raise RunError(f"Another process works on what waits in {runs_dir}", todo="Leave it to that one") from error
+
+    def refused() -> RunError:
+        return RunError(f"Another process works on what waits in {runs_dir}", todo="Leave it to that one")
+
     done = 0
-    try:
+    with held_lock(_folder(runs_dir) / _LOCK, refused):
         while tickets := _tickets(runs_dir):
             run = _run_of(tickets[0])
             if run.record_file.is_file():
                 _work_in_child(run)
                 done += 1
             tickets[0].unlink(missing_ok=True)
-    finally:
-        lock.release()
     return done
 
 
@@ -106,17 +103,7 @@ def ensure_worker(runs_dir: Path) -> bool:
     """
     if not _tickets(runs_dir) or _at_work(runs_dir):
         return False
-    folder = _folder(runs_dir)
-    with disk_errors(folder, "writing"), (folder / LOG).open("ab") as log:
-        worker = subprocess.Popen(
-            [sys.executable, "-m", "toolkit", "work", "--runs", str(runs_dir.resolve())],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            start_new_session=True,  # a Ctrl-C that ends the server is not for it
-        )
-    # Somebody has to hear of its end, or it stays in the system's list as long as this process lives.
-    threading.Thread(target=worker.wait, name="end of the worker", daemon=True).start()
+    start_detached(["work", "--runs", str(runs_dir.resolve())], _folder(runs_dir) / LOG)
     return True
 
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from toolkit.errors import SettingsError
-from toolkit.files import disk_errors
 from toolkit.recipes.base import Recipe
+from toolkit.runs.detached import start_detached
 from toolkit.runs.measures import better
 from toolkit.runs.names import check_name, new_id
 from toolkit.runs.status import utc_now
@@ -197,15 +193,4 @@ def start_sweep(sweep: SweepFolder) -> None:
     RunError
         Where the disk refuses.
     """
-    command = [sys.executable, "-m", "toolkit", "sweep-resume", sweep.id, "--runs", str(sweep.runs_dir.resolve())]
-    with disk_errors(sweep.path, "writing"), sweep.printed_file.open("ab") as printed:
-        worker = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=printed,
-            stderr=printed,
-            env={**os.environ, "TQDM_DISABLE": "1"},
-            start_new_session=True,  # a Ctrl-C that ends the server is not for it
-        )
-    # Somebody has to hear of its end, or it stays in the system's list as long as this process lives.
-    threading.Thread(target=worker.wait, name="end of the sweep", daemon=True).start()
+    start_detached(["sweep-resume", sweep.id, "--runs", str(sweep.runs_dir.resolve())], sweep.printed_file)

@@ -13,17 +13,15 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from toolkit.errors import DataError, RunError
-from toolkit.files import disk_errors, read_json, write_json, write_text
+from toolkit.files import disk_errors, held_lock, read_json, write_json, write_text
+from toolkit.runs.cancel import request_cancel
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.names import is_run_id
 from toolkit.runs.status import RunStatus, read_status, write_status
 from toolkit.runs.sweep_plan import SweepPlan, Trial
 
 SWEEPS = ".sweeps"
-_REQUEST = ".cancel"
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,46 +103,21 @@ class SweepFolder:
         RunError
             Where nobody works on it.
         """
-        state = self.status().state
-        if state == "queued":
-            with self.held():  # nobody begins meanwhile
-                if self.status().state == "queued":
-                    write_status(self.status_file, RunStatus("cancelled", error="Cancelled before it began."))
-                    return
-        elif state != "running":
-            raise RunError(
-                f"Sweep {self.id} cannot be cancelled",
-                expected="one that waits or works",
-                found=f"one that is {state}",
-            )
-        write_text(self.path / _REQUEST, "")
-
-    def cancel_requested(self) -> bool:
-        """Whether somebody asked for the sweep to stop."""
-        return (self.path / _REQUEST).exists()
-
-    def forget_request(self) -> None:
-        """Take back what was asked of an earlier work on the sweep."""
-        with disk_errors(self.path, "writing"):
-            (self.path / _REQUEST).unlink(missing_ok=True)
+        request_cancel(self, what="Sweep")
 
     @contextmanager
     def held(self) -> Iterator[None]:
         """Hold the sweep for this process alone. Raises :class:`RunError` where another one works on it."""
-        with disk_errors(self.path, "locking"):
-            lock = FileLock(self.path / ".lock", timeout=0)
-            try:
-                lock.acquire()
-            except Timeout as error:
-                raise RunError(
-                    f"Sweep {self.id} is in use",
-                    found="another process that works on it",
-                    todo="Wait until it ends",
-                ) from error
-        try:
+
+        def refused() -> RunError:
+            return RunError(
+                f"Sweep {self.id} is in use",
+                found="another process that works on it",
+                todo="Wait until it ends",
+            )
+
+        with held_lock(self.path / ".lock", refused):
             yield
-        finally:
-            lock.release()
 
 
 def make_sweep_folder(runs_dir: Path, sweep_id: str, plan: SweepPlan) -> SweepFolder:

@@ -13,7 +13,7 @@ from pathlib import Path
 from toolkit.errors import Cancelled, RunError, ToolkitError
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.recipes.base import Recipe
-from toolkit.runs.cancel import request_cancel
+from toolkit.runs.cancel import cancel_requested, forget_request, request_cancel
 from toolkit.runs.executors import LocalWorkers, dask_cluster
 from toolkit.runs.launch import create_run
 from toolkit.runs.lines import LineFile
@@ -76,7 +76,7 @@ def work_on_sweep(
     with sweep.held():
         if sweep.status().state == "finished":
             raise RunError(f"Sweep {sweep.id} is finished", todo="toolkit sweep-show prints it; start a new one")
-        sweep.forget_request()
+        forget_request(sweep)
         with closing(LineFile(sweep.log_file)) as log:
             work = _Work(sweep, plan, chosen, recipe, log, progress)
             with work.told(), threads(min(plan.threads, cores())), _workers(plan, sweep.path) as (executor, slots):
@@ -159,7 +159,7 @@ class _Work:
                 self._prune()
                 if seconds_since(self._status.heartbeat) > _BEAT_EVERY:
                     self._tell()
-                if self._sweep.cancel_requested():
+                if cancel_requested(self._sweep):
                     raise Cancelled(f"Cancelled after {self._ended} of {self._plan.trials} trials")
         except BaseException:
             self._stop()

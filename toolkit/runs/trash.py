@@ -7,10 +7,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from toolkit.errors import DataError, RunError
-from toolkit.files import disk_errors
+from toolkit.files import disk_errors, held_lock
 from toolkit.progress import Progress, silent, track
 from toolkit.runs.folder import RunFolder
 
@@ -125,14 +123,9 @@ def _bin_held(runs_dir: Path) -> Iterator[None]:
     folder = _bin(runs_dir)
     with disk_errors(folder, "locking"):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / _LOCK, timeout=_PATIENCE)
-        try:
-            lock.acquire()
-        except Timeout as error:
-            raise RunError(
-                f"The bin {folder} is in use", found="another process that moves runs", todo="Try again"
-            ) from error
-    try:
+
+    def refused() -> RunError:
+        return RunError(f"The bin {folder} is in use", found="another process that moves runs", todo="Try again")
+
+    with held_lock(folder / _LOCK, refused, patience=_PATIENCE):
         yield
-    finally:
-        lock.release()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from toolkit.errors import RunError, StageError
 from toolkit.files import disk_errors
 from toolkit.runs.folder import RunFolder
+from toolkit.scene.folder import SCENE_FILE
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -174,7 +175,7 @@ def splat_stamp(run: RunFolder) -> Stamp | None:
     """Return what changes when a run's splat or scene is written again, None where it has no splat."""
     try:
         splat = run.splat_file.stat()
-        scene = (run.scene_folder / "scene.json").stat()
+        scene = (run.scene_folder / SCENE_FILE).stat()
     except (FileNotFoundError, NotADirectoryError):
         return None
     return splat.st_mtime_ns, splat.st_size, scene.st_mtime_ns

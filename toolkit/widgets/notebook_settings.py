@@ -10,6 +10,7 @@ from toolkit.errors import SettingsError
 from toolkit.optional import require
 from toolkit.runs.markup import element
 from toolkit.settings import SettingRow, Settings
+from toolkit.widgets.setting_texts import group_of, group_title, setting_help, setting_label
 
 _WIDE = {"style": {"description_width": "190px"}, "layout": {"width": "420px"}}
 _CHANGED = "● "
@@ -74,10 +75,12 @@ class SettingsBox:
             return
         changed = self.changed
         for name, widget in self.widgets.items():
-            widget.description = (_CHANGED if name in changed else "") + _label(self._rows[name])
+            widget.description = (_CHANGED if name in changed else "") + setting_label(self._rows[name])
         for number, group in enumerate(self._groups()):
-            count = sum(_group(name) == group for name in changed)
-            self._accordion.set_title(number, self._title(group) + (f" · {count} changed" if count else ""))
+            count = sum(group_of(name) == group for name in changed)
+            self._accordion.set_title(
+                number, group_title(group, self._type) + (f" · {count} changed" if count else "")
+            )
         try:
             self.settings()
             self._message.value = ""
@@ -85,14 +88,11 @@ class SettingsBox:
             self._message.value = str(element("div", str(error), style="color: #b3261e"))
 
     def _groups(self) -> list[str]:
-        return list(dict.fromkeys(_group(name) for name in self._rows))
-
-    def _title(self, group: str) -> str:
-        return (self._type.param[group].doc or group) if group else "General"
+        return list(dict.fromkeys(group_of(name) for name in self._rows))
 
     def _laid_out(self) -> Any:
         boxes = [
-            self._ipywidgets.VBox([widget for name, widget in self.widgets.items() if _group(name) == group])
+            self._ipywidgets.VBox([widget for name, widget in self.widgets.items() if group_of(name) == group])
             for group in self._groups()
         ]
         return self._ipywidgets.Accordion(boxes)
@@ -100,10 +100,7 @@ class SettingsBox:
     def _widget(self, row: SettingRow) -> Any:
         """Return the widget of a setting; its help is shown where the pointer rests on it."""
         kinds, declared = self._ipywidgets, self._type.declaration(row.name)
-        told = (
-            f"{row.doc} {row.allowed[:1].upper()}{row.allowed[1:]}; default {row.default} {row.unit or ''}".strip()
-        )
-        options = {"value": row.default, "description": _label(row), "tooltip": told + ".", **_WIDE}
+        options = {"value": row.default, "description": setting_label(row), "tooltip": setting_help(row), **_WIDE}
         if isinstance(declared, param.Boolean):
             return kinds.Dropdown(options={"yes": True, "no": False}, **options)
         if isinstance(declared, param.Selector):
@@ -117,13 +114,3 @@ class SettingsBox:
     def _repr_mimebundle_(self, **options: Any) -> dict[str, Any]:
         shown: dict[str, Any] = self.box._repr_mimebundle_(**options) or {}
         return shown
-
-
-def _group(name: str) -> str:
-    return name.partition(".")[0] if "." in name else ""
-
-
-def _label(row: SettingRow) -> str:
-    text = row.name.partition(".")[2] if "." in row.name else row.name
-    text = text.replace("_", " ")
-    return text + (f" ({row.unit})" if row.unit and not text.endswith(row.unit) else "")

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import panel as pn
 import param
 
 from toolkit.errors import SettingsError
 from toolkit.runs.report_html import warning_list
-from toolkit.settings import Group, SettingRow, Settings
+from toolkit.settings import SettingRow, Settings
+from toolkit.widgets.setting_texts import group_of, group_title, setting_help, setting_label
 from toolkit.widgets.style import SELECT, html_pane, show_html, switch
 
 _WIDTH = 250
@@ -109,11 +108,11 @@ class SettingsForm(pn.viewable.Viewer):
             row = self._rows[name]
             found = wanted in f"{name} {row.doc}".lower()
             widget.visible = found and (not self._only_changed.value or name in self.changed)
-            seen[_group(name)] += widget.visible
+            seen[group_of(name)] += widget.visible
         looking = bool(wanted) or self._only_changed.value
         for group, card in self._cards.items():
-            count = sum(_group(name) == group for name in self.changed)
-            card.title = _title(group, self._type) + (f" · {count} changed" if count else "")
+            count = sum(group_of(name) == group for name in self.changed)
+            card.title = group_title(group, self._type) + (f" · {count} changed" if count else "")
             card.visible = seen[group] > 0
             if looking:
                 card.collapsed = False
@@ -121,11 +120,11 @@ class SettingsForm(pn.viewable.Viewer):
     def _laid_out(self) -> pn.Column:
         groups: dict[str, list[pn.widgets.Widget]] = {}
         for name, widget in self._widgets.items():
-            groups.setdefault(_group(name), []).append(widget)
+            groups.setdefault(group_of(name), []).append(widget)
         for group, widgets in groups.items():
             self._cards[group] = pn.Card(
                 pn.FlexBox(*widgets, sizing_mode="stretch_width"),
-                title=_title(group, self._type),
+                title=group_title(group, self._type),
                 collapsed=len(groups) > 1,
                 sizing_mode="stretch_width",
                 margin=(4, 0),
@@ -134,23 +133,10 @@ class SettingsForm(pn.viewable.Viewer):
         return pn.Column(bar, self._message, *self._cards.values(), sizing_mode="stretch_width")
 
 
-def _group(name: str) -> str:
-    return name.partition(".")[0] if "." in name else ""
-
-
-def _title(group: str, settings_type: type[Settings]) -> str:
-    declared: Mapping[str, Any] = settings_type.param.objects()
-    return (declared[group].doc or group) if group else "General"
-
-
 def _widget(row: SettingRow, settings_type: type[Settings]) -> pn.widgets.Widget:
-    """Return the widget of a setting; its label is the last part of its name, its help the declaration's."""
-    declared = _declaration(row.name, settings_type)
-    label = row.name.rpartition(".")[2].replace("_", " ")
-    if row.unit and not label.endswith(row.unit):  # "max features (features)" says it twice
-        label += f" ({row.unit})"
-    unit = f" {row.unit}" if row.unit else ""
-    help_text = f"{row.doc} {row.allowed[:1].upper()}{row.allowed[1:]}; default {row.default}{unit}."
+    """Return the widget of a setting; label and help are the declaration's."""
+    declared = settings_type.declaration(row.name)
+    label, help_text = setting_label(row), setting_help(row)
     options = {"value": row.default, "width": _WIDTH, "margin": (4, 8), "stylesheets": [_SHEET, SELECT]}
     if isinstance(declared, param.Boolean):
         choices = {"yes": True, "no": False}
@@ -170,9 +156,3 @@ def _step(default: float, *, whole: bool) -> float:
     """Return what an arrow adds: a tenth of the default's leading digit's place, or 1 for small whole numbers."""
     place = 10.0 ** (math.floor(math.log10(abs(default))) - 1) if default else 0.1
     return max(1, round(place)) if whole else place
-
-
-def _declaration(dotted: str, settings_type: type[Settings]) -> param.Parameter:
-    name, _, rest = dotted.partition(".")
-    declared = settings_type.param[name]
-    return _declaration(rest, declared.settings_type) if isinstance(declared, Group) else declared
