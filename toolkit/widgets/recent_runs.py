@@ -1,4 +1,4 @@
-"""The newest runs of a folder, for choices on pages: read again only where their files changed."""
+"""The newest runs of a folder, for choices on pages."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from toolkit.runs.catalogue import shared_catalogue
 from toolkit.runs.folder import RunFolder
-from toolkit.runs.index import RunSummary, run_folders, summarise
+from toolkit.runs.index import RunSummary
 from toolkit.runs.names import is_run_id
 from toolkit.widgets.style import SELECT
 
@@ -20,11 +21,12 @@ CHOICE: Mapping[str, Any] = {
     "stylesheets": [SELECT],
 }
 
-_Stamp = tuple[int | None, ...]
+#: Seconds of reading at a time; the next look at the disk goes on.
+_SLICE = 1.5
 
 
 class RecentRuns:
-    """Rows of the newest runs.
+    """Rows of the newest runs, from the catalogue that all pages of a server share.
 
     Attributes
     ----------
@@ -35,7 +37,7 @@ class RecentRuns:
     def __init__(self, runs_dir: Path, *, most: int = MOST) -> None:
         self.rows: Mapping[str, RunSummary] = {}
         self._runs_dir, self._most = runs_dir, most
-        self._stamps: dict[str, _Stamp] = {}
+        self._catalogue = shared_catalogue(runs_dir.resolve())
 
     def refresh(self) -> bool:
         """Read what changed on the disk; return whether any row did.
@@ -45,16 +47,10 @@ class RecentRuns:
         RunError
             Where the folder may not be listed.
         """
-        rows: dict[str, RunSummary] = {}
-        stamps: dict[str, _Stamp] = {}
-        for run in reversed(run_folders(self._runs_dir)[-self._most :]):
-            known, now = self.rows.get(run.id), _stamp(run)
-            # A run that works may die without writing anything: whether its process lives is asked each time.
-            fresh = known is None or known.state == "running" or now != self._stamps[run.id]
-            rows[run.id], stamps[run.id] = summarise(run) if known is None or fresh else known, now
-        changed = list(rows.items()) != list(self.rows.items())
-        self.rows, self._stamps = rows, stamps
-        return changed
+        self._catalogue.refresh(within=_SLICE)
+        before, newest = self.rows, list(self._catalogue.rows.items())[-self._most :]
+        self.rows = dict(reversed(newest))
+        return list(self.rows.items()) != list(before.items())
 
     def find(self, run_id: str) -> RunFolder | None:
         """Return the run of an id, be it new or old; None for a text that is no id, or where there is no such run.
@@ -72,13 +68,3 @@ def choice_label(row: RunSummary) -> str:
     when = row.run.id[:15]
     when = f"{when[4:6]}-{when[6:8]} {when[9:11]}:{when[11:13]}" if is_run_id(row.run.id) else row.run.id
     return f"{row.name or row.recipe or row.run.id} · {row.state} · {when} · {row.run.id[-4:]}"
-
-
-def _stamp(run: RunFolder) -> _Stamp:
-    def written(path: Path) -> int | None:
-        try:
-            return path.stat().st_mtime_ns
-        except OSError:
-            return None
-
-    return tuple(map(written, (run.record_file, run.status_file, run.result_file)))

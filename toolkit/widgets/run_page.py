@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import panel as pn
 import param
@@ -15,20 +14,20 @@ from toolkit.runs.estimate import Estimator
 from toolkit.runs.extend import extend_run
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import create_run
-from toolkit.runs.markup import Content, Html, element
+from toolkit.runs.markup import element
 from toolkit.runs.measures import format_seconds
 from toolkit.runs.report_html import warning_list
 from toolkit.runs.stop import let_wait
 from toolkit.scene.capture_paths import require_capture_below
 from toolkit.widgets.earlier_runs import EarlierRuns
-from toolkit.widgets.job import Job
 from toolkit.widgets.queue_list import QueueList
 from toolkit.widgets.recent_runs import RecentRuns
 from toolkit.widgets.run_choice import Choice, RunChoice
 from toolkit.widgets.style import html_pane, show_html
+from toolkit.widgets.task import Task
 
-#: Milliseconds between two looks at a run that is being made.
-_LOOK = 250
+#: What is said while a run is made.
+_STAGES = {"photos": "Checking pictures", "fingerprint": "Hashing pictures"}
 
 
 class RunPage(pn.viewable.Viewer):
@@ -63,8 +62,7 @@ class RunPage(pn.viewable.Viewer):
     ) -> None:
         super().__init__()
         self._runs_dir, self._data_dirs, self._show = runs_dir, tuple(data_dirs), show
-        self._job: Job[tuple[RunFolder, str]] | None = None
-        self._looks: Any = None
+        self._making = Task()
         self._error = ""
         self._estimator = Estimator(runs_dir)
         self._recent = RecentRuns(runs_dir)
@@ -75,10 +73,11 @@ class RunPage(pn.viewable.Viewer):
         )
         self._start = pn.widgets.Button(label="Start", color="primary", width=130, margin=(4, 12, 4, 0))
         self._start.on_click(lambda event: self.start())
-        self._estimate, self._work, self._message = html_pane(), html_pane(), html_pane()
+        self._estimate, self._message = html_pane(), html_pane()
         self._message.param.update(styles={"flex": "1 1 100%"})
         self._layout = self._arranged()
         self.choice.param.watch(lambda event: self._show_estimate(), "changes")
+        self._making.param.watch(lambda event: self._show_start(), "busy")
         self.refresh()
 
     def __panel__(self) -> pn.viewable.Viewable:
@@ -98,7 +97,7 @@ class RunPage(pn.viewable.Viewer):
         self.earlier.refresh()
         self.choice.refresh()
         self._show_estimate()
-        self._look()
+        self._making.look()
 
     def choose_data(self, capture: Path) -> None:
         """Put a capture into the form; one that is not among the data is told."""
@@ -123,7 +122,7 @@ class RunPage(pn.viewable.Viewer):
     @property
     def busy(self) -> bool:
         """Whether a run is being made."""
-        return self._job is not None
+        return bool(self._making.busy)
 
     def _created(self, asked: Choice, progress: Progress) -> RunFolder:
         return create_run(
@@ -141,34 +140,17 @@ class RunPage(pn.viewable.Viewer):
         self._begin(lambda progress: extend_run(run, steps, progress=progress))
 
     def _begin(self, work: Callable[[Progress], RunFolder]) -> None:
-        if self._job is not None:
+        if self.busy:
             self.say("Another run is being made: wait until it is there.", True)
             return
         self.say("")
-        # In the thread, too: a run that was asked for waits even where the browser is closed meanwhile.
-        self._job = Job(lambda progress: _waiting(work(progress)))
-        self._look()
-        if self._job is not None and pn.state.curdoc is not None:
-            self._looks = pn.state.add_periodic_callback(self._look, period=_LOOK)
+        # It is let to wait in the thread, too: a run that was asked for waits even where the browser is closed.
+        self._making.begin(
+            "The run is being made", lambda progress: _waiting(work(progress)), self._take_made, stages=_STAGES
+        )
 
-    def _look(self) -> None:
-        """Show how far the run is that is being made, and let it wait when it is there."""
-        job = self._job
-        if job is not None and job.done:
-            self._job = None
-            if self._looks is not None:
-                self._looks.stop()
-                self._looks = None
-            self._take_made(job)
-        self._show_start()
-        show_html(self._work, _work_line(self._job) if self._job is not None else None)
-
-    def _take_made(self, job: Job[tuple[RunFolder, str]]) -> None:
-        try:
-            run, said = job.result()
-        except ToolkitError as error:
-            self.say(str(error), True)
-            return
+    def _take_made(self, made: tuple[RunFolder, str]) -> None:
+        run, said = made
         self.say(said)
         self.refresh()
         if self._show is not None:
@@ -210,7 +192,7 @@ class RunPage(pn.viewable.Viewer):
     def _arranged(self) -> pn.Column:
         bar = pn.FlexBox(
             self._start,
-            pn.Column(self._estimate, self._work, styles={"flex": "1 1 300px", "min-width": "0"}, margin=0),
+            pn.Column(self._estimate, self._making, styles={"flex": "1 1 300px", "min-width": "0"}, margin=0),
             align_items="center",
             sizing_mode="stretch_width",
             margin=(8, 0),
@@ -235,13 +217,3 @@ def _waiting(run: RunFolder) -> tuple[RunFolder, str]:
 
 def _title(text: str) -> pn.pane.HTML:
     return html_pane(element("h2", text))
-
-
-def _work_line(job: Job[tuple[RunFolder, str]]) -> Html:
-    event, share = job.event, job.share
-    said: Content = "The run is being made …"
-    if event is not None and event.total:
-        doing = {"photos": "Checking pictures", "fingerprint": "Hashing pictures"}.get(event.stage, event.stage)
-        said = f"{doing}: {event.done} of {event.total}"
-    known = {"value": f"{share:.3f}", "max": 1} if share is not None else {}
-    return element("p", said, " ", element("progress", aria_label="Making the run", **known), class_="note")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 from weakref import WeakSet
 
@@ -41,6 +41,7 @@ class Task(pn.viewable.Viewer):
         self._token = CancelToken()
         self._take: Callable[[Any], None] | None = None
         self._what = ""
+        self._stages: Mapping[str, str] = {}
         self._looks: Any = None
         self._line, self._message = html_pane(), html_pane()
         self._line.param.update(styles={"flex": "1 1 240px", "min-width": "0"})
@@ -52,7 +53,14 @@ class Task(pn.viewable.Viewer):
     def __panel__(self) -> pn.viewable.Viewable:
         return self._layout
 
-    def begin(self, what: str, work: Callable[[Progress], T], take: Callable[[T], None]) -> None:
+    def begin(
+        self,
+        what: str,
+        work: Callable[[Progress], T],
+        take: Callable[[T], None],
+        *,
+        stages: Mapping[str, str] | None = None,
+    ) -> None:
         """Start ``work`` in a thread; what it makes is given to ``take`` in the page's own thread.
 
         Parameters
@@ -63,11 +71,14 @@ class Task(pn.viewable.Viewer):
             Told where to report progress; ends where that raises.
         take:
             Not called where the work was cancelled, or failed: then the reason is shown.
+        stages:
+            What is said in place of ``what`` while a stage of this name works.
         """
         self._token.cancel()
         token = CancelToken()
         _tokens.add(token)
         self._token, self._what, self._take = token, what, take
+        self._stages = stages or {}
         self._job = Job(lambda hear: work(fan_out([token, hear])))
         self.say("")
         self.busy = True
@@ -126,9 +137,10 @@ class Task(pn.viewable.Viewer):
                 self._looks = None
             return
         share, event = job.share, job.event
-        text = self._what + (f" {100 * share:.0f} %" if share is not None else "")
+        what = self._stages.get(event.stage, self._what) if event is not None else self._what
+        text = what + (f" {100 * share:.0f} %" if share is not None else "")
         more = event.message if event is not None else ""
-        bar = element("progress", value=share, max=1, aria_label=self._what, style="width:100%;height:10px")
+        bar = element("progress", value=share, max=1, aria_label=what, style="width:100%;height:10px")
         show_html(self._line, element("p", text, element("span", f" {more}", class_="what"), class_="note"), bar)
 
 
