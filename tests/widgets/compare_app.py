@@ -1,4 +1,4 @@
-"""A page with the tab that compares and nothing else: ``python compare_app.py RUNS PORT [MILLISECONDS]``."""
+"""A page with the tab that compares alone: ``python compare_app.py RUNS PORT MILLISECONDS``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import panel as pn
-from panel.io.server import get_server
+from browsing import serve_app
 
 from toolkit.widgets.address import Address
 from toolkit.widgets.compare_page import ComparePage
@@ -24,12 +24,5 @@ def page(runs_dir: Path, every: int) -> pn.template.FastListTemplate:
 
 
 if __name__ == "__main__":
-    runs, port, every = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else 3000
-    server = get_server(
-        lambda: page(runs, every),
-        port=port,
-        address="127.0.0.1",
-        websocket_origin=[f"127.0.0.1:{port}", f"localhost:{port}"],
-    )
-    print(f"http://localhost:{port}/", flush=True)
-    server.run_until_shutdown()
+    runs, port, every = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    serve_app(lambda: page(runs, every), port)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from browsing import collect_problems, launch
 from fake_recipe import RECIPE, FakeSettings, MakeRun, write_photos
+from playwright.sync_api import Page, sync_playwright
 
 from toolkit.errors import StageError
 from toolkit.runs.folder import RunFolder
@@ -64,3 +67,20 @@ def failed(queued: MakeRun) -> RunFolder:
 def pair(finished: MakeRun, odd_name: str) -> list[RunFolder]:
     """Return two finished runs that differ in a setting, the first with a harmful name."""
     return [finished(name=odd_name, loop__rate=0.8), finished(name="fast", loop__rate=0.2)]
+
+
+@pytest.fixture
+def problems() -> list[str]:
+    """Return what went wrong on :func:`page` so far."""
+    return []
+
+
+@pytest.fixture
+def page(problems: list[str]) -> Iterator[Page]:
+    """Yield a page in a browser of its own; the test is skipped where there is none."""
+    with sync_playwright() as playwright:
+        browser = launch(playwright)
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        collect_problems(page, problems)
+        yield page
+        browser.close()

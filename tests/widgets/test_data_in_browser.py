@@ -4,33 +4,17 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
-import socket
-import subprocess
-import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from browsing import free_port, server_of
 from PIL import Image
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Page, expect
 
 APP = Path(__file__).parent / "data_app.py"
-# What Chromium says about drawing without a graphics card is no fault of the page.
-HARMLESS = re.compile("GPU stall|WebGL|willReadFrequently")
-PATIENCE = 60_000
-expect.set_options(timeout=PATIENCE)
-
-
-@pytest.fixture(scope="module")
-def browser_program() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("no Chromium is installed: apt-get install chromium")
-    return found
 
 
 @pytest.fixture
@@ -41,50 +25,11 @@ def data(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def served(runs_dir: Path, data: Path, browser_program: str) -> Iterator[str]:
+def served(runs_dir: Path, data: Path) -> Iterator[str]:
     """Serve the tab in a process of its own and return its address."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [sys.executable, str(APP), str(runs_dir), str(data), str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout is not None
-            yield server.stdout.readline().strip()
-        finally:
-            server.terminate()
-            server.communicate(timeout=20)
-
-
-@pytest.fixture
-def problems() -> list[str]:
-    return []
-
-
-@pytest.fixture
-def page(browser_program: str, problems: list[str]) -> Iterator[Page]:
-    with sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-        browser = playwright.chromium.launch(executable_path=browser_program, args=arguments)
-        page = browser.new_page(viewport={"width": 1440, "height": 1000})
-        page.set_default_timeout(PATIENCE)
-        page.on("pageerror", lambda error: problems.append(f"page: {error}"))
-        page.on("console", lambda said: note(problems, said.type, said.text))
-        page.on("requestfailed", lambda request: problems.append(f"failed: {request.url[:200]}"))
-        page.on("request", lambda request: local(problems, request.url))
-        yield page
-        browser.close()
-
-
-def note(problems: list[str], kind: str, text: str) -> None:
-    if kind in {"error", "warning"} and not HARMLESS.search(text):
-        problems.append(f"{kind}: {text[:300]}")
-
-
-def local(problems: list[str], url: str) -> None:
-    address = urlsplit(url)
-    if address.scheme not in {"data", "blob"} and address.hostname not in {"127.0.0.1", "localhost"}:
-        problems.append(f"outside: {url[:200]}")
+    port = free_port()
+    with server_of(APP, runs_dir, data, port, port=port) as address:
+        yield address
 
 
 def photo(seed: int) -> bytes:

@@ -4,85 +4,26 @@ from __future__ import annotations
 
 import csv
 import re
-import shutil
-import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Page, Request, expect, sync_playwright
+from browsing import free_port, server_of
+from playwright.sync_api import Page, expect
 
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.notes import RunNotes, read_notes
 from toolkit.runs.trash import deleted_runs
 
-LOCAL = {"127.0.0.1", "localhost"}
-# What Chromium says about drawing without a graphics card is no fault of the page.
-HARMLESS = re.compile("GPU stall|WebGL|willReadFrequently")
-PATIENCE = 20_000
-expect.set_options(timeout=PATIENCE)
-
-
-@pytest.fixture(scope="module")
-def browser_program() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("no Chromium is installed: apt-get install chromium")
-    return found
+APP = Path(__file__).parent / "compare_app.py"
 
 
 @pytest.fixture
-def served(runs_dir: Path, browser_program: str) -> Iterator[str]:
+def served(runs_dir: Path) -> Iterator[str]:
     """Serve the runs in a process of its own and return their address."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    app = Path(__file__).parent / "compare_app.py"
-    command = [sys.executable, str(app), str(runs_dir), str(port), "1000"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout is not None
-            line = server.stdout.readline()
-            assert f"http://localhost:{port}" in line
-            yield f"http://localhost:{port}/"
-        finally:
-            server.terminate()
-            # The server says good-bye: its pipe has to be open until it is gone.
-            server.communicate(timeout=20)
-
-
-class Visit:
-    """A page in a browser, with what went wrong on it."""
-
-    def __init__(self, page: Page) -> None:
-        self.page = page
-        self.problems: list[str] = []
-        page.set_default_timeout(PATIENCE)
-        page.on("console", lambda message: self._note(message.type, message.text))
-        page.on("pageerror", lambda error: self.problems.append(f"page: {error}"))
-        page.on("requestfailed", lambda request: self.problems.append(f"failed: {request.url[:200]}"))
-        page.on("request", self._check)
-
-    def _note(self, kind: str, text: str) -> None:
-        if kind in {"error", "warning"} and not HARMLESS.search(text):
-            self.problems.append(f"{kind}: {text[:300]}")
-
-    def _check(self, request: Request) -> None:
-        address = urlsplit(request.url)
-        if address.scheme not in {"data", "blob"} and address.hostname not in LOCAL:
-            self.problems.append(f"outside: {request.url[:200]}")
-
-
-@pytest.fixture
-def visit(browser_program: str) -> Iterator[Visit]:
-    with sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-        browser = playwright.chromium.launch(executable_path=browser_program, args=arguments)
-        yield Visit(browser.new_page(viewport={"width": 1440, "height": 900}))
-        browser.close()
+    port = free_port()
+    with server_of(APP, runs_dir, port, 1000, port=port) as address:
+        yield address
 
 
 def row(page: Page, name: str) -> object:
@@ -90,9 +31,8 @@ def row(page: Page, name: str) -> object:
 
 
 def test_a_walk_through_the_page(
-    pair: list[RunFolder], failed: RunFolder, served: str, visit: Visit, odd_name: str
+    pair: list[RunFolder], failed: RunFolder, served: str, page: Page, problems: list[str], odd_name: str
 ) -> None:
-    page = visit.page
     page.goto(served)
 
     # The list, newest first, with the two finished runs chosen.
@@ -154,13 +94,12 @@ def test_a_walk_through_the_page(
     expect(page.get_by_text("There is no run '20990101-000000-fake-0000'")).to_be_visible()
     expect(page.get_by_text("There is no run '<img src=x onerror=window.harm=1>'")).to_be_visible()
     assert page.evaluate("window.harm") is None
-    assert visit.problems == []
+    assert problems == []
 
 
 def test_runs_appear_by_themselves_on_a_dark_page(
-    served: str, visit: Visit, request: pytest.FixtureRequest
+    served: str, page: Page, problems: list[str], request: pytest.FixtureRequest
 ) -> None:
-    page = visit.page
     page.goto(f"{served}?theme=dark")
     expect(page.get_by_text("No runs yet")).to_be_visible()
     expect(page.get_by_text("make demo")).to_be_visible()
@@ -169,13 +108,12 @@ def test_runs_appear_by_themselves_on_a_dark_page(
     expect(page.get_by_text("No runs yet")).to_be_hidden()
     page.wait_for_url(re.compile("theme=dark&runs="))
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(15, 19, 25)"
-    assert visit.problems == []
+    assert problems == []
 
 
 def test_runs_are_found_tagged_deleted_and_brought_back(
-    pair: list[RunFolder], failed: RunFolder, served: str, visit: Visit, runs_dir: Path
+    pair: list[RunFolder], failed: RunFolder, served: str, page: Page, problems: list[str], runs_dir: Path
 ) -> None:
-    page = visit.page
     page.goto(f"{served}?runs={pair[1].id}")
     rows = page.locator(".tabulator-row")
     expect(rows).to_have_count(3)
@@ -232,13 +170,12 @@ def test_runs_are_found_tagged_deleted_and_brought_back(
     expect(rows).to_have_count(2)
     box.fill("stopped")
     expect(rows).to_have_count(1)
-    assert visit.problems == []
+    assert problems == []
 
 
 def test_pictures_are_zoomed_and_the_comparison_is_taken_home(
-    pair: list[RunFolder], served: str, visit: Visit
+    pair: list[RunFolder], served: str, page: Page, problems: list[str]
 ) -> None:
-    page = visit.page
     page.goto(served)
     card = page.locator("article.view")
     worst = min(pair[0].result().test_views, key=lambda view: view.psnr).name
@@ -278,7 +215,7 @@ def test_pictures_are_zoomed_and_the_comparison_is_taken_home(
     with page.expect_download() as html_file:
         page.get_by_text("Comparison as HTML page").click()
     assert html_file.value.path().read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    assert visit.problems == []
+    assert problems == []
 
 
 # The element that has the keyboard, through all shadow roots, in words.
@@ -342,9 +279,8 @@ FAINT = """
 
 
 def test_the_page_is_usable_on_a_phone_by_keyboard_and_on_either_ground(
-    pair: list[RunFolder], failed: RunFolder, served: str, visit: Visit
+    pair: list[RunFolder], failed: RunFolder, served: str, page: Page, problems: list[str]
 ) -> None:
-    page = visit.page
     for theme in ("default", "dark"):
         page.goto(f"{served}?theme={theme}")
         expect(page.locator("article.view img").first).to_be_visible()
@@ -385,4 +321,4 @@ def test_the_page_is_usable_on_a_phone_by_keyboard_and_on_either_ground(
     assert card is not None
     assert card["x"] >= 0
     assert card["x"] + card["width"] <= 390
-    assert visit.problems == []
+    assert problems == []

@@ -3,36 +3,20 @@
 from __future__ import annotations
 
 import re
-import shutil
-import socket
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Locator, Page, expect, sync_playwright
+from browsing import free_port, server_of
+from playwright.sync_api import Locator, Page, expect
 
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.index import run_folders
 from toolkit.samples.make import SampleSettings, make_sample
 
 APP = Path(__file__).parent / "run_watch_app.py"
-# What Chromium says about drawing without a graphics card is no fault of the page.
-HARMLESS = re.compile("GPU stall|WebGL|willReadFrequently")
-PATIENCE = 30_000
-expect.set_options(timeout=PATIENCE)
-
-
-@pytest.fixture(scope="module")
-def browser_program() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("no Chromium is installed: apt-get install chromium")
-    return found
 
 
 @pytest.fixture
@@ -50,58 +34,18 @@ def data(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-Serve = Callable[[], "contextmanager[str]"]
+Serve = Callable[[], AbstractContextManager[str]]
 
 
 @pytest.fixture
 def serve(runs_dir: Path, data: Path) -> Serve:
     """Return a context that serves the tabs in a process of its own and gives their address."""
 
-    @contextmanager
-    def served() -> Iterator[str]:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        command = [sys.executable, str(APP), str(runs_dir), str(data), str(port)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-            try:
-                assert server.stdout is not None
-                yield server.stdout.readline().strip()
-            finally:
-                server.terminate()
-                server.communicate(timeout=20)
+    def served() -> AbstractContextManager[str]:
+        port = free_port()
+        return server_of(APP, runs_dir, data, port, port=port)
 
     return served
-
-
-@pytest.fixture
-def problems() -> list[str]:
-    return []
-
-
-@pytest.fixture
-def page(browser_program: str, problems: list[str]) -> Iterator[Page]:
-    with sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-        browser = playwright.chromium.launch(executable_path=browser_program, args=arguments)
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(PATIENCE)
-        page.on("pageerror", lambda error: problems.append(f"page: {error}"))
-        page.on("console", lambda said: note(problems, said.type, said.text))
-        page.on("request", lambda request: local(problems, request.url))
-        yield page
-        browser.close()
-
-
-def note(problems: list[str], kind: str, text: str) -> None:
-    if kind in {"error", "warning"} and not HARMLESS.search(text):
-        problems.append(f"{kind}: {text[:300]}")
-
-
-def local(problems: list[str], url: str) -> None:
-    address = urlsplit(url)
-    if address.scheme not in {"data", "blob"} and address.hostname not in {"127.0.0.1", "localhost"}:
-        problems.append(f"outside: {url[:200]}")
 
 
 def points(chart: Locator) -> int:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import io
-import re
-import shutil
-import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from urllib.parse import urlsplit
+from pathlib import Path
 
 import numpy as np
 import pytest
+from browsing import PATIENCE, collect_problems, free_port, launch, server_of
 from fake_recipe import MakeRun
 from numpy.typing import NDArray
 from PIL import Image
-from playwright.sync_api import ConsoleMessage, Locator, Page, Request, expect, sync_playwright
+from playwright.sync_api import Locator, Page, expect, sync_playwright
 from splat_runs import splat_run
 
 from toolkit.geometry.rigid import RigidTransform
@@ -28,45 +24,11 @@ from toolkit.widgets.viewer_files import is_built
 
 __all__ = ["splat_run"]
 
-LOCAL = {"127.0.0.1", "localhost"}
-# What Chromium says about drawing without a graphics card is no fault of the page.
-HARMLESS = re.compile("GPU stall|willReadFrequently")
-PATIENCE = 30_000
 # The ground of a light page, #f6f7f9.
 GROUND = (0xF6 / 255, 0xF7 / 255, 0xF9 / 255)
-#: A page with the tab alone, below an address prefix as behind a proxy.
-PROGRAM = """
-import sys
-from pathlib import Path
-import panel as pn
-from panel.io.server import get_server
-from toolkit.widgets.style import LocalFast, page_css
-from toolkit.widgets.view_page import ViewPage
-
-def page():
-    pn.extension()
-    view = ViewPage(Path(sys.argv[1]))
-    view.refresh()
-    return pn.template.FastListTemplate(
-        title="View", main_layout=None, main=[view], raw_css=[page_css(dark=False)], design=LocalFast, font_url="",
-        background_color="#f6f7f9",
-    )
-
-port = int(sys.argv[2])
-server = get_server(page, port=port, address="127.0.0.1", prefix="/user/a", websocket_origin=[f"localhost:{port}"])
-print("ready", flush=True)
-server.run_until_shutdown()
-"""
+APP = Path(__file__).parent / "view_app.py"
 Picture = NDArray[np.float64]
 Open = Callable[..., Page]
-
-
-@pytest.fixture(scope="module")
-def browser_program() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("no Chromium is installed: apt-get install chromium")
-    return found
 
 
 @pytest.fixture
@@ -75,52 +37,23 @@ def run(splat_run: MakeRun) -> RunFolder:
 
 
 @pytest.fixture
-def served(run: RunFolder, browser_program: str) -> Iterator[str]:
-    """Serve the tab in a process of its own and return its address."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [sys.executable, "-c", PROGRAM, str(run.path.parent), str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout is not None
-            assert server.stdout.readline() == "ready\n"
-            yield f"http://localhost:{port}/user/a/"
-        finally:
-            server.terminate()
-            server.communicate(timeout=20)
+def served(run: RunFolder) -> Iterator[str]:
+    """Serve the tab below a prefix, as behind a proxy, in a process of its own and return its address."""
+    port = free_port()
+    with server_of(APP, run.path.parent, port, port=port, prefix="/user/a") as address:
+        yield address
 
 
 @pytest.fixture
-def opened(served: str, browser_program: str) -> Iterator[Open]:
+def opened(served: str, problems: list[str]) -> Iterator[Open]:
     """Return a function that opens the tab; in the end nothing may have gone wrong on its pages."""
-    problems: list[str] = []
-
-    def note(message: ConsoleMessage) -> None:
-        # Panel's own icon is not to be had below a prefix.
-        harmless = HARMLESS.search(message.text) or message.location["url"].endswith("favicon.ico")
-        if message.type in {"error", "warning"} and not harmless:
-            problems.append(f"{message.type}: {message.text[:300]}")
-
-    def check(request: Request) -> None:
-        address = urlsplit(request.url)
-        inside = address.hostname in LOCAL and address.path.startswith("/user/a")
-        if address.scheme not in {"data", "blob"} and not inside and "favicon" not in address.path:
-            problems.append(f"outside: {request.url[:200]}")
-
     with sync_playwright() as playwright:
         browsers = []
 
         def visit(*arguments: str, width: int = 900) -> Page:
-            basic = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-            browser = playwright.chromium.launch(executable_path=browser_program, args=[*basic, *arguments])
-            browsers.append(browser)
-            page = browser.new_page(viewport={"width": width, "height": 600}, reduced_motion="reduce")
-            page.set_default_timeout(PATIENCE)
-            page.on("console", note)
-            page.on("pageerror", lambda error: problems.append(f"page: {error}"))
-            page.on("requestfailed", lambda request: problems.append(f"failed: {request.url[:200]}"))
-            page.on("request", check)
+            browsers.append(launch(playwright, *arguments))
+            page = browsers[-1].new_page(viewport={"width": width, "height": 600}, reduced_motion="reduce")
+            collect_problems(page, problems, below="/user/a")
             page.goto(served)
             return page
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browsing import ARGUMENTS, collect_problems, dashboard_server, free_port, take_picture
-from playwright.sync_api import Locator, Page, expect, sync_playwright
+from browsing import PATIENCE, dashboard_server, free_port, take_picture
+from playwright.sync_api import Locator, Page, expect
 
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.index import run_folders
@@ -18,8 +16,6 @@ from toolkit.runs.stop import stop_run
 from toolkit.samples.make import SampleSettings, make_sample
 from toolkit.widgets.viewer_files import is_built
 
-PATIENCE = 40_000
-expect.set_options(timeout=PATIENCE)
 RECIPE = "Sensor poses, ground plane · sensor-ground"
 
 
@@ -36,25 +32,6 @@ def data(tmp_path: Path) -> Path:
     }
     make_sample(tmp_path / "data" / "town", SampleSettings().replace(changes), seed=0)
     return tmp_path / "data"
-
-
-@pytest.fixture
-def problems() -> list[str]:
-    return []
-
-
-@pytest.fixture
-def page(problems: list[str]) -> Iterator[Page]:
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no Chromium is installed: apt-get install chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(PATIENCE)
-        collect_problems(page, problems)
-        yield page
-        browser.close()
 
 
 def tab(page: Page, name: str) -> None:
@@ -172,6 +149,10 @@ def test_from_a_sample_to_two_runs_side_by_side(
 
         expect(page.get_by_text(re.compile("^Loading"))).to_be_hidden()
         take_picture(page, "view")
+
+        tab(page, "Sweep")
+        expect(seen(page, page.get_by_text("New sweep"))).to_be_visible()
+        take_picture(page, "sweep")
 
         # A run is at work while the server goes.
         tab(page, "Run")

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import panel as pn
-from panel.io.resources import get_dist_path
 
 from toolkit.widgets.shell import Shell
 from toolkit.widgets.style import FONT, GROUND, LocalFast, page_css
@@ -34,9 +33,6 @@ def dashboard(
 def begin_page() -> None:
     """Load Panel's extensions for a page that is about to be made, all of them from this installation."""
     pn.extension("plotly", "tabulator")
-    if pn.state.curdoc is not None:
-        # Panel says this after the page was made; what is made before would take its styles from elsewhere.
-        pn.state.curdoc.template_variables["dist_url"] = get_dist_path()
 
 
 def dark_wanted() -> bool:

@@ -7,9 +7,7 @@ from typing import Any, ClassVar
 
 import panel as pn
 import plotly.graph_objects as go
-from bokeh.document import Document
-from bokeh.models import ImportedStyleSheet
-from panel.io.resources import CDN_DIST, get_dist_path, patch_stylesheet
+from panel.io.resources import CDN_DIST
 from panel.theme.fast import Fast
 
 from toolkit.runs.markup import Content, element
@@ -58,24 +56,6 @@ class LocalFast(Fast):
         "js_modules": {**Fast._resources["js_modules"], "fast-design": f"{CDN_DIST}bundled/fast/js/fast_design.js"},
         "bundle": True,
     }
-
-    # Of parts that come back to an open page, as in tabs, Panel does not know the page, and lets them take their
-    # styles from a server elsewhere.
-
-    @classmethod
-    def _patch_modifiers(
-        cls, doc: Document | None, modifiers: dict[str, Any], cache: dict[str, ImportedStyleSheet]
-    ) -> None:
-        super()._patch_modifiers(doc, modifiers, cache)
-        for sheet in modifiers.get("stylesheets", []):
-            if isinstance(sheet, ImportedStyleSheet):
-                patch_stylesheet(sheet, get_dist_path())
-
-    @classmethod
-    def _apply_params(
-        cls, viewable: Any, mref: str, modifiers: dict[str, Any], document: Document | None = None
-    ) -> None:
-        super()._apply_params(viewable, mref, modifiers, document or pn.state.curdoc)
 
 
 SHEETS = [RULES, _DENSE]
