@@ -74,6 +74,8 @@ bench: $(VENV)/.dev  ## Measure (three hours): rasterizer, training, poses, SLAM
 	$(BIN)/python tests/benchmarks/sensor_poses.py --runs runs/bench-sensors
 	$(BIN)/python tests/benchmarks/drone_poses.py --runs runs/bench-drone
 	$(BIN)/python tests/benchmarks/slam.py --work runs/bench-slam
+	$(BIN)/python tests/benchmarks/blades.py
+	$(BIN)/python tests/benchmarks/temple_ring.py
 	$(BIN)/python tests/benchmarks/dashboard.py
 	$(BIN)/python tests/benchmarks/sweep.py
 

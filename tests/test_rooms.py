@@ -21,7 +21,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "samples": {"geometry", "scene"},
     "capture": {"geometry", "scene"},
     "matching": {"geometry", "scene"},
-    "poses": {"geometry", "scene", "matching"},
+    "poses": {"geometry", "scene", "metrics", "matching"},
     "depth": {"geometry", "scene"},
     "splat": {"geometry", "scene", "metrics"},
     "recipes": {"geometry", "scene", "metrics", "samples", "capture", "matching", "poses", "depth", "splat"},

@@ -220,6 +220,7 @@ async def browsers(address: str, pid: int, count: int) -> list[str]:
             lines += told(what, [await visit(page, address, count)], pid)
             await page.close()
         await one.close()
+        lines.append(await all_tabs(await opened(), address, pid))
         several = [await opened() for _ in range(BROWSERS)]
         pages = [await browser.new_page(viewport={"width": 1440, "height": 900}) for browser in several]
         visits = await asyncio.gather(*(visit(page, address, count) for page in pages))
@@ -227,6 +228,18 @@ async def browsers(address: str, pid: int, count: int) -> list[str]:
         for browser in several:
             await browser.close()
     return lines
+
+
+async def all_tabs(browser: Browser, address: str, pid: int) -> str:
+    """Return the line of the table for a visitor who opens every tab."""
+    page = await browser.new_page(viewport={"width": 1440, "height": 900})
+    await page.goto(address)
+    for name in ("Data", "Run", "Watch", "View", "Sweep", "Compare"):
+        await page.get_by_text(name, exact=True).first.click()
+        await page.wait_for_timeout(6000)
+    line = f"| every tab opened | | | | {memory(pid, 'VmRSS'):.0f} | {memory(pid, 'VmHWM'):.0f} |"
+    await browser.close()
+    return line
 
 
 def told(what: str, visits: list[Visit], pid: int) -> list[str]:

@@ -8,6 +8,7 @@ import pytest
 
 from toolkit.cli import main
 from toolkit.samples.drone_flights import OrbitVideoSettings, SpiralVideoSettings
+from toolkit.samples.engine import EngineSettings
 from toolkit.samples.make import SampleSettings
 from toolkit.settings import Settings
 
@@ -22,7 +23,12 @@ def help_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 @pytest.mark.parametrize(
     ("kind", "settings"),
-    [("town", SampleSettings), ("orbit-video", OrbitVideoSettings), ("spiral-video", SpiralVideoSettings)],
+    [
+        ("town", SampleSettings),
+        ("orbit-video", OrbitVideoSettings),
+        ("spiral-video", SpiralVideoSettings),
+        ("engine", EngineSettings),
+    ],
 )
 def test_the_help_of_a_kind_has_its_own_defaults(
     capsys: pytest.CaptureFixture[str], kind: str, settings: type[Settings]
@@ -38,7 +44,7 @@ def test_the_help_of_a_kind_has_its_own_defaults(
 
 def test_the_help_of_the_command_lists_the_kinds_and_no_defaults(capsys: pytest.CaptureFixture[str]) -> None:
     said = help_of(capsys, "sample")
-    for kind in ("town", "orbit-video", "spiral-video"):
+    for kind in ("town", "orbit-video", "spiral-video", "engine"):
         assert kind in said
     assert "--flight" not in said
 

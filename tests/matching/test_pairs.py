@@ -65,6 +65,23 @@ def test_closed_joins_the_end_to_the_start() -> None:
     assert sequential_pairs(5, 1, closed=True).tolist() == [[0, 1], [0, 4], [1, 2], [2, 3], [3, 4]]
 
 
+def test_ends_join_the_first_frames_to_the_last_ones() -> None:
+    extra = {tuple(pair) for pair in sequential_pairs(9, 1, ends=2).tolist()} - {(i, i + 1) for i in range(8)}
+    assert extra == {(0, 7), (0, 8), (1, 7), (1, 8)}
+    # More than half of the frames would pair the middle with itself.
+    many = {tuple(pair) for pair in sequential_pairs(5, 1, ends=100).tolist()} - {(i, i + 1) for i in range(4)}
+    assert many == {(0, 3), (0, 4), (1, 3), (1, 4)}
+    settings = PairSettings(method="sequential", overlap=1, quadratic=False, ends=2)
+    chosen = choose_pairs(scene_with([None] * 9), settings)
+    np.testing.assert_array_equal(chosen.index, sequential_pairs(9, 1, ends=2))
+
+
+def test_a_loop_closed_at_its_ends_stays_linear_in_the_frames() -> None:
+    counts = [len(sequential_pairs(count, 15, ends=20)) for count in (200, 400, 800)]
+    # 15 pairs a frame, less those beyond the end, and 20 times 20 at the ends.
+    assert counts == [15 * count - 120 + 400 for count in (200, 400, 800)]
+
+
 def test_loop_stride_matches_every_so_many_frames_with_each_other() -> None:
     extra = {tuple(pair) for pair in sequential_pairs(9, 1, loop_stride=4).tolist()} - {
         (i, i + 1) for i in range(8)
@@ -77,12 +94,13 @@ def test_loop_stride_matches_every_so_many_frames_with_each_other() -> None:
     st.integers(1, 40),
     st.booleans(),
     st.booleans(),
+    st.integers(0, 40),
     st.integers(0, 10),
 )
 def test_sequential_holds_the_overlap_and_nothing_out_of_range(
-    count: int, overlap: int, quadratic: bool, closed: bool, stride: int
+    count: int, overlap: int, quadratic: bool, closed: bool, ends: int, stride: int
 ) -> None:
-    pairs = sequential_pairs(count, overlap, quadratic=quadratic, closed=closed, loop_stride=stride)
+    pairs = sequential_pairs(count, overlap, quadratic=quadratic, closed=closed, ends=ends, loop_stride=stride)
     assert_sorted_unique(pairs, count)
     found = {tuple(pair) for pair in pairs.tolist()}
     assert {(i, j) for i, j in combinations(range(count), 2) if j - i <= overlap} <= found

@@ -19,11 +19,12 @@ from toolkit.metrics.image import psnr
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Scene
-from toolkit.splat.cf3dgs import Cf3dgsResult, Cf3dgsSettings, cf_3dgs, used_memory
+from toolkit.splat.cf3dgs import Cf3dgsResult, cf_3dgs, used_memory
+from toolkit.splat.chain_settings import Cf3dgsSettings, LocalSettings
 from toolkit.splat.evaluate import draw
 from toolkit.splat.growing_map import GrowingMap
 from toolkit.splat.images import load_photo
-from toolkit.splat.local_gaussians import LocalSettings, gaussians_from_depth
+from toolkit.splat.local_gaussians import gaussians_from_depth
 from toolkit.splat.train_settings import TrainSettings
 
 QUICK = Cf3dgsSettings().replace(

@@ -17,11 +17,12 @@ from toolkit.geometry.rigid import RigidTransform, rotation_angle
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Frame, Scene
-from toolkit.splat.chain import ChainSettings, depth_ratio, in_world, plane_depth, track_frames
+from toolkit.splat.chain import depth_ratio, in_world, plane_depth, track_frames
+from toolkit.splat.chain_settings import ChainSettings, LocalSettings
 from toolkit.splat.chained_trajectory import chain_poses
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.interpolated_poses import between, with_interpolated_test_poses
-from toolkit.splat.local_gaussians import LocalSettings, gaussians_from_depth
+from toolkit.splat.local_gaussians import gaussians_from_depth
 from toolkit.splat.rasterize import RasterSettings, rasterize
 from toolkit.splat.train_settings import TrainSettings
 

@@ -15,6 +15,7 @@ from toolkit.errors import Cancelled, DataError, NumericalError, StageError
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Scene
+from toolkit.splat.chain_settings import RelativePoseSettings
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo
 from toolkit.splat.lie import exp_se3
@@ -26,7 +27,7 @@ from toolkit.splat.local_gaussians import (
     local_gaussians,
 )
 from toolkit.splat.rasterize import rasterize
-from toolkit.splat.relative_pose import RelativePoseSettings, _turn_about, find_relative_pose, median_depth
+from toolkit.splat.relative_pose import _turn_about, find_relative_pose, median_depth
 from toolkit.splat.train_settings import TrainSettings
 
 START = RigidTransform.identity()

@@ -10,7 +10,8 @@ from browsing import serve_app
 
 from toolkit.widgets.address import Address
 from toolkit.widgets.compare_page import ComparePage
-from toolkit.widgets.dashboard import begin_page, dark_wanted, page_template
+from toolkit.widgets.dashboard import begin_page, dark_wanted
+from toolkit.widgets.page import page_template
 
 
 def page(runs_dir: Path, every: int) -> pn.template.FastListTemplate:

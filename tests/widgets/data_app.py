@@ -8,8 +8,9 @@ from pathlib import Path
 import panel as pn
 from browsing import serve_app
 
-from toolkit.widgets.dashboard import begin_page, dark_wanted, page_template
+from toolkit.widgets.dashboard import begin_page, dark_wanted
 from toolkit.widgets.data_page import DataPage
+from toolkit.widgets.page import page_template
 from toolkit.widgets.task import cancel_all
 
 # Milliseconds; a test has less patience than a person.

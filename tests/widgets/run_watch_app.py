@@ -8,7 +8,8 @@ from pathlib import Path
 import panel as pn
 from browsing import serve_app
 
-from toolkit.widgets.dashboard import begin_page, dark_wanted, page_template
+from toolkit.widgets.dashboard import begin_page, dark_wanted
+from toolkit.widgets.page import page_template
 from toolkit.widgets.run_page import RunPage
 from toolkit.widgets.watch_page import WatchPage
 

@@ -95,7 +95,7 @@ def test_a_run_is_started_watched_and_another_one_cancelled(
         expect(loss.locator(".main-svg").first).to_be_visible()
         expect(page.get_by_text("left of this stage")).to_be_visible()
         seen = {points(loss)}
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         while len(seen) < 3:
             assert time.monotonic() < deadline
             page.wait_for_timeout(100)

@@ -19,7 +19,8 @@ from browsing import dashboard_server, free_port
 import toolkit
 from toolkit.errors import MissingDependencyError, RunError
 from toolkit.runs.folder import RunFolder
-from toolkit.widgets.dashboard import TITLE, dashboard
+from toolkit.widgets.dashboard import dashboard
+from toolkit.widgets.page import TITLE
 from toolkit.widgets.serve import Opening, serve
 
 pytestmark = pytest.mark.filterwarnings(r"ignore:The inplace keyword in DataFrame\.\w+ is deprecated")

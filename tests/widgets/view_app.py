@@ -8,7 +8,8 @@ from pathlib import Path
 import panel as pn
 from browsing import serve_app
 
-from toolkit.widgets.dashboard import begin_page, page_template
+from toolkit.widgets.dashboard import begin_page
+from toolkit.widgets.page import page_template
 from toolkit.widgets.view_page import ViewPage
 
 

@@ -88,9 +88,6 @@ def video_frames(
     wanted = None if numbers is None else set(check_numbers(numbers).tolist())
     last = None if numbers is None else int(numbers[-1])
     info = video_info(video)
-    ending, options = ".png", {}
-    if settings.image_format == "jpeg":
-        ending, options = ".jpg", {"quality": settings.jpeg_quality, "subsampling": 0}
     names, places, times = [], [], []
     total = info.frames if last is None else last + 1
     with atomic_folder(folder) as temporary:
@@ -98,9 +95,7 @@ def video_frames(
         progress(ProgressEvent("frames", 0, total))
         for frame in decoded_frames(video):
             if wanted is None or frame.number in wanted:
-                name = f"frame_{frame.number:06d}{ending}"
-                Image.fromarray(frame.rgb()).save(temporary / name, **options)
-                names.append(name)
+                names.append(save_frame(frame.rgb(), frame.number, temporary, settings))
                 places.append(frame.number)
                 times.append(frame.time)
             progress(ProgressEvent("frames", frame.number + 1, total))
@@ -111,6 +106,16 @@ def video_frames(
                 f"Video {video} has no frame {last}", expected="numbers from 0", found=f"{frame.number + 1} frames"
             )
     return VideoFrames(folder, tuple(names), np.array(places, dtype=np.int64), np.array(times))
+
+
+def save_frame(picture: NDArray[np.uint8], number: int, folder: Path, settings: PictureSettings) -> str:
+    """Write a frame (H, W, 3) into a folder under the name of its place in the video, and return the name."""
+    ending, options = ".png", {}
+    if settings.image_format == "jpeg":
+        ending, options = ".jpg", {"quality": settings.jpeg_quality, "subsampling": 0}
+    name = f"frame_{number:06d}{ending}"
+    Image.fromarray(picture).save(folder / name, **options)
+    return name
 
 
 def require_empty(folder: Path) -> None:

@@ -19,6 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = build_parser(
         with_sample_flags="sample" in given,
         with_frame_flags="frames" in given,
+        with_inspection_flags="inspection" in given,
         with_calibration_flags="calibrate" in given,
         with_vocabulary_flags="vocabulary" in given,
     ).parse_args(given)
@@ -45,13 +46,14 @@ def build_parser(
     *,
     with_sample_flags: bool = True,
     with_frame_flags: bool = True,
+    with_inspection_flags: bool = True,
     with_calibration_flags: bool = True,
     with_vocabulary_flags: bool = True,
 ) -> argparse.ArgumentParser:
     """Return the parser of all commands.
 
-    The flags of ``sample``, ``frames``, ``calibrate`` and ``vocabulary`` come from their settings, which take a
-    moment to import: only these commands need them.
+    The flags of ``sample``, ``frames``, ``inspection``, ``calibrate`` and ``vocabulary`` come from their settings,
+    which take a moment to import: only these commands need them.
     """
     parser = argparse.ArgumentParser(
         prog="toolkit",
@@ -66,7 +68,7 @@ def build_parser(
     sweep.add_commands(commands)
     render.add_commands(commands)
     data.add_commands(commands, with_sample_flags=with_sample_flags)
-    capture.add_commands(commands, with_flags=with_frame_flags)
+    capture.add_commands(commands, with_flags=with_frame_flags, with_inspection_flags=with_inspection_flags)
     calibrate.add_commands(commands, with_flags=with_calibration_flags)
     slam.add_commands(commands, with_vocabulary_flags=with_vocabulary_flags)
     tables.add_commands(commands)

@@ -23,6 +23,7 @@ _KINDS = {
     "town": ("Pictures of a town from a flight over it.", "--flight.frames 32"),
     "orbit-video": ("A filmed flight around the town.", "--flight.frames 180"),
     "spiral-video": ("A filmed flight over the town that widens turn by turn.", "--flight.turns 2"),
+    "engine": ("The blades of an engine, alike but for faint wear, seen by a borescope.", "--film.frames 990"),
 }
 
 
@@ -46,13 +47,17 @@ def _add_sample(commands: argparse._SubParsersAction, with_flags: bool) -> None:
 
 def _settings_of(kind: str) -> type[Settings]:
     from toolkit.samples.drone_flights import FLIGHTS
+    from toolkit.samples.engine import EngineSettings
     from toolkit.samples.make import SampleSettings
 
+    if kind == "engine":
+        return EngineSettings
     return FLIGHTS.get(kind.removesuffix("-video"), SampleSettings)
 
 
 def _sample(arguments: argparse.Namespace) -> None:
     from toolkit.samples.drone_flights import OrbitVideoSettings, make_drone_flight
+    from toolkit.samples.engine import EngineSettings, make_engine
     from toolkit.samples.make import SampleSettings, make_sample
 
     wanted = _settings_of(arguments.kind).from_flags(arguments)
@@ -60,6 +65,12 @@ def _sample(arguments: argparse.Namespace) -> None:
         filming = wanted
         flight = with_bar(lambda bar: make_drone_flight(arguments.to, filming, seed=arguments.seed, progress=bar))
         print(f"{len(flight.numbers)} keyframes, {flight.video.name} and the truth written to {arguments.to}")
+        return
+    if isinstance(wanted, EngineSettings):
+        turning = wanted
+        engine = with_bar(lambda bar: make_engine(arguments.to, turning, seed=arguments.seed, progress=bar))
+        arc = f"{engine.angles[-1]:g} degrees"
+        print(f"{len(engine.scene)} pictures over {arc} and the truth written to {arguments.to}")
         return
     assert isinstance(wanted, SampleSettings)
     with_bar(lambda bar: make_sample(arguments.to, wanted, seed=arguments.seed, progress=bar))

@@ -143,6 +143,13 @@ def match_counts(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
     return pairs, table[:, 1], table[:, 2]
 
 
+def pair_numbers(pairs: NDArray[np.int64]) -> list[int]:
+    """Return COLMAP's numbers of pairs (P, 2) of frame indices."""
+    ordered = np.sort(pairs, axis=1) + 1
+    numbers: list[int] = (ordered[:, 0] * _PAIR_FACTOR + ordered[:, 1]).tolist()
+    return numbers
+
+
 def settle(path: Path) -> None:
     """Put what is in the write-ahead log into the database, so that it is one file that can be copied as such."""
     with closing(_open(path, write=True)) as connection:

@@ -23,7 +23,7 @@ from toolkit.settings import Choice, Integer, Number, Settings
 #: With fewer features than this a picture cannot be placed: a pair alone needs 15 inliers.
 FEW_FEATURES = 20
 
-_MODELS = (
+CAMERA_MODELS = (
     "SIMPLE_PINHOLE",
     "PINHOLE",
     "SIMPLE_RADIAL",
@@ -34,6 +34,16 @@ _MODELS = (
     "RADIAL_FISHEYE",
     "OPENCV_FISHEYE",
 )
+
+
+def camera_model_choice() -> Choice:
+    """Declare the setting of which camera model the database starts from."""
+    return Choice(
+        "scene",
+        choices=("scene", *CAMERA_MODELS),
+        doc="Camera model to start from; 'scene' keeps the scene's cameras as they are, another model keeps their "
+        "focal length and principal point and starts without distortion.",
+    )
 
 
 class SiftSettings(Settings):
@@ -58,12 +68,7 @@ class SiftSettings(Settings):
         bounds=(0.0, 0.1),
         doc="Least contrast of a feature, of a grey value range of 1; lower finds more in flat pictures.",
     )
-    camera_model = Choice(
-        "scene",
-        choices=("scene", *_MODELS),
-        doc="Camera model to start from; 'scene' keeps the scene's cameras as they are, another model keeps their "
-        "focal length and principal point and starts without distortion.",
-    )
+    camera_model = camera_model_choice()
     threads = Integer(0, bounds=(0, 256), doc="Pictures worked on at once; 0: as many as there are cores.")
 
 
@@ -130,7 +135,7 @@ def extract_sift(
         For a camera that is none of COLMAP's.
     """
     start = time.perf_counter()
-    _check_pictures(scene, progress)
+    check_pictures(scene, progress)
     create_database(database_path, scene, start_cameras(scene, settings.camera_model))
     options = pycolmap.FeatureExtractionOptions(
         type=pycolmap.FeatureExtractorType.SIFT,
@@ -223,7 +228,7 @@ def _of_model(camera: ColmapCamera, model: str) -> ColmapCamera:
     return ColmapCamera(model, camera.width, camera.height, tuple(params), camera.prior_focal_length)
 
 
-def _check_pictures(scene: Scene, progress: Progress) -> None:
+def check_pictures(scene: Scene, progress: Progress) -> None:
     """Refuse a scene without pictures, and pictures that are missing, damaged or of another size.
 
     COLMAP takes what it can decode of a damaged picture and says nothing.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,18 @@ from toolkit.settings import Boolean, Integer, Number, Settings
 _PAIRS_A_BLOCK = 32
 
 
-class MatchSettings(Settings):
+class VerificationSettings(Settings):
+    """Geometric verification of matches by RANSAC."""
+
+    min_inliers = Integer(15, bounds=(6, 1000), unit="matches", doc="Least inliers of a pair that is verified.")
+    max_error = Number(
+        4.0, bounds=(0.1, 100.0), unit="px", doc="Largest distance of an inlier from its epipolar line."
+    )
+    confidence = Number(0.999, bounds=(0.5, 0.999999), doc="RANSAC stops when it is this sure of the best model.")
+    max_trials = Integer(10000, bounds=(100, 1000000), unit="trials", doc="RANSAC stops here at the latest.")
+
+
+class MatchSettings(VerificationSettings):
     """Nearest-neighbour matching of SIFT descriptors and geometric verification."""
 
     max_ratio = Number(
@@ -39,12 +52,6 @@ class MatchSettings(Settings):
     guided = Boolean(
         False, doc="Match again along the epipolar lines that were found: more matches, and many times the time."
     )
-    min_inliers = Integer(15, bounds=(6, 1000), unit="matches", doc="Least inliers of a pair that is verified.")
-    max_error = Number(
-        4.0, bounds=(0.1, 100.0), unit="px", doc="Largest distance of an inlier from its epipolar line."
-    )
-    confidence = Number(0.999, bounds=(0.5, 0.999999), doc="RANSAC stops when it is this sure of the best model.")
-    max_trials = Integer(10000, bounds=(100, 1000000), unit="trials", doc="RANSAC stops here at the latest.")
     threads = Integer(0, bounds=(0, 256), doc="Pairs worked on at once; 0: as many as there are cores.")
 
 
@@ -78,6 +85,11 @@ class MatchReport:
         return self.inliers > 0
 
     @property
+    def seconds_per_pair(self) -> float:
+        """Wall time by pair that was tried, verification included; 0 without pairs."""
+        return self.seconds / len(self.pairs) if len(self.pairs) else 0.0
+
+    @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """Frames that verified pairs connect, the largest group first. More than one: no single model."""
         return connected_groups(len(self.names), self.pairs[self.verified])
@@ -96,6 +108,7 @@ class MatchReport:
             "unmatched": [self.names[group[0]] for group in self.groups if len(group) == 1],
             "verified_pairs": table.tolist(),
             "seconds": self.seconds,
+            "seconds_per_pair": self.seconds_per_pair,
         }
 
 
@@ -136,23 +149,10 @@ def match_pairs(
         For a database that has matches already: COLMAP would skip those pairs and keep what other settings gave.
     """
     start = time.perf_counter()
-    require_same_frames(database_path, scene)
-    if len(match_counts(database_path)[0]):
-        raise StageError(
-            f"{database_path} has matches already",
-            expected="a database with features only",
-            todo="Match in a fresh copy of it (copy_database)",
-        )
-    matching, verification = _options(settings, seed)
-
-    with (
-        names_without_spaces(database_path) as listed,
-        tempfile.TemporaryDirectory(dir=database_path.parent, prefix=".pairs.", suffix=".tmp") as folder,
-        watch(database_path) as database,
-    ):
-        path = Path(folder) / "pairs.txt"
-        lines = (f"{listed[i]} {listed[j]}\n" for i, j in pairs.index.tolist())
-        path.write_text("".join(lines), encoding="utf-8")
+    require_no_matches(database_path, scene)
+    matching = _matching_options(settings)
+    verification = verification_options(settings, seed)
+    with pair_list(database_path, pairs) as path, watch(database_path) as database:
 
         def match(token: pycolmap.CancellationToken) -> None:
             pycolmap.match_image_pairs(
@@ -169,13 +169,84 @@ def match_pairs(
 
         run_colmap(match, event, progress, database_path)
     settle(database_path)
-    names = tuple(frame.name for frame in scene.frames)
-    return MatchReport(names, *match_counts(database_path), seconds=time.perf_counter() - start)
+    return match_report(database_path, scene, time.perf_counter() - start)
 
 
-def _options(
-    settings: MatchSettings, seed: int
-) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
+def require_no_matches(database_path: Path, scene: Scene) -> None:
+    """Check that a database has the frames of a scene and no matches.
+
+    Raises
+    ------
+    DataError
+        For a database that is missing, damaged or of another scene.
+    StageError
+        For a database that has matches already.
+    """
+    require_same_frames(database_path, scene)
+    if len(match_counts(database_path)[0]):
+        raise StageError(
+            f"{database_path} has matches already",
+            expected="a database with features only",
+            todo="Match in a fresh copy of it (copy_database)",
+        )
+
+
+def verify_pairs(
+    database_path: Path, pairs: ChosenPairs, settings: VerificationSettings, *, seed: int, progress: Progress
+) -> None:
+    """Verify the matches that a database has between pairs of frames, as :func:`match_pairs` does its own.
+
+    Parameters
+    ----------
+    database_path:
+        With features and matches; the pairs' geometry is written into it.
+    pairs:
+        Of which matches were written.
+    settings, seed, progress:
+        As in :func:`match_pairs`.
+    """
+    verification = verification_options(settings, seed)
+    with pair_list(database_path, pairs) as path, watch(database_path) as database:
+
+        def verify(token: pycolmap.CancellationToken) -> None:
+            pycolmap.verify_matches(database_path, path, options=verification, cancellation_token=token)
+
+        def event() -> ProgressEvent:
+            return ProgressEvent("match.verify", database.num_verified_image_pairs(), len(pairs))
+
+        run_colmap(verify, event, progress, database_path)
+    settle(database_path)
+
+
+def match_report(database_path: Path, scene: Scene, seconds: float) -> MatchReport:
+    """Return what a database says of the matches of a scene."""
+    return MatchReport(tuple(frame.name for frame in scene.frames), *match_counts(database_path), seconds=seconds)
+
+
+def verification_options(settings: VerificationSettings, seed: int) -> pycolmap.TwoViewGeometryOptions:
+    """Return the settings as COLMAP takes them."""
+    options = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)
+    options.ransac.max_error = settings.max_error
+    options.ransac.confidence = settings.confidence
+    options.ransac.max_num_trials = settings.max_trials
+    options.ransac.random_seed = seed
+    return options
+
+
+@contextmanager
+def pair_list(database_path: Path, pairs: ChosenPairs) -> Iterator[Path]:
+    """Yield a file that names the pairs as COLMAP reads them, beside the database."""
+    with (
+        names_without_spaces(database_path) as listed,
+        tempfile.TemporaryDirectory(dir=database_path.parent, prefix=".pairs.", suffix=".tmp") as folder,
+    ):
+        path = Path(folder) / "pairs.txt"
+        lines = (f"{listed[i]} {listed[j]}\n" for i, j in pairs.index.tolist())
+        path.write_text("".join(lines), encoding="utf-8")
+        yield path
+
+
+def _matching_options(settings: MatchSettings) -> pycolmap.FeatureMatchingOptions:
     matching = pycolmap.FeatureMatchingOptions(
         type=pycolmap.FeatureMatcherType.SIFT_BRUTEFORCE,
         num_threads=settings.threads or -1,
@@ -185,9 +256,4 @@ def _options(
     matching.sift.max_ratio = settings.max_ratio
     matching.sift.max_distance = settings.max_distance
     matching.sift.cross_check = settings.cross_check
-    verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)
-    verification.ransac.max_error = settings.max_error
-    verification.ransac.confidence = settings.confidence
-    verification.ransac.max_num_trials = settings.max_trials
-    verification.ransac.random_seed = seed
-    return matching, verification
+    return matching

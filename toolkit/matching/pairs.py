@@ -30,7 +30,16 @@ class PairSettings(Settings):
     quadratic = Boolean(
         True, doc="Sequential: also match frames 1, 2, 4, 8, ... apart, for as many powers as the overlap says."
     )
-    closed = Boolean(False, doc="Sequential: the last frame is followed by the first, as on a full circle.")
+    closed = Boolean(
+        False, doc="Sequential: the last frame is followed by the first, as on a circle of exactly one turn."
+    )
+    ends = Integer(
+        0,
+        bounds=(0, 1000),
+        unit="frames",
+        doc="Sequential: match each of so many first frames with each of so many last ones: footage that ends "
+        "where it began, or a little before or after; 0: do not.",
+    )
     loop_stride = Integer(
         0,
         bounds=(0, 1000),
@@ -113,7 +122,13 @@ def exhaustive_pairs(count: int) -> Pairs:
 
 
 def sequential_pairs(
-    count: int, overlap: int, *, quadratic: bool = False, closed: bool = False, loop_stride: int = 0
+    count: int,
+    overlap: int,
+    *,
+    quadratic: bool = False,
+    closed: bool = False,
+    ends: int = 0,
+    loop_stride: int = 0,
 ) -> Pairs:
     """Return pairs (P, 2) of frames that are close in the order of capture: i < j, sorted, each once.
 
@@ -127,7 +142,11 @@ def sequential_pairs(
         Frame i is also paired with i + 1, i + 2, i + 4, ..., i + 2 ** (``overlap`` - 1), as in COLMAP's
         sequential matcher.
     closed:
-        Frames are counted around: after the last comes the first.
+        Frames are counted around: after the last comes the first. Right for exactly one turn; the number of pairs
+        stays linear in the number of frames.
+    ends:
+        Each of the first so many frames is paired with each of the last so many. That closes a loop also where the
+        footage covers somewhat less or more than a turn, at most as much as so many frames show.
     loop_stride:
         All pairs among frames 0, s, 2 s, ... are added; 0 adds none.
     """
@@ -143,6 +162,10 @@ def sequential_pairs(
         # Around a circle a step of a full turn or more would only repeat smaller ones.
         if step < count:
             found.append(np.stack([first, second % count], axis=1)[inside])
+    # More would pair frames in the middle with each other.
+    each = min(ends, count // 2)
+    if each > 0:
+        found.append(np.stack(np.meshgrid(first[:each], first[-each:], indexing="ij"), axis=-1).reshape(-1, 2))
     if loop_stride > 0:
         found.append(exhaustive_pairs(len(first[::loop_stride])) * loop_stride)
     return _unique(np.concatenate(found))
@@ -276,6 +299,7 @@ def choose_pairs(scene: Scene, settings: PairSettings) -> ChosenPairs:
             settings.overlap,
             quadratic=settings.quadratic,
             closed=settings.closed,
+            ends=settings.ends,
             loop_stride=settings.loop_stride,
         )
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 from toolkit.depth.settings import DepthSettings
 from toolkit.metrics.lpips import Lpips
@@ -14,10 +15,10 @@ from toolkit.recipes.measure_refined import measure_refined_test_renders
 from toolkit.recipes.steps import SCENE
 from toolkit.scene.folder import read_scene
 from toolkit.settings import Group
-from toolkit.splat.cf3dgs import Cf3dgsResult, Cf3dgsSettings, cf_3dgs
-from toolkit.splat.evaluate import render_test_views
-from toolkit.splat.interpolated_poses import with_interpolated_test_poses
-from toolkit.splat.warm_up import warm_up
+from toolkit.splat.chain_settings import Cf3dgsSettings
+
+if TYPE_CHECKING:
+    from toolkit.splat.cf3dgs import Cf3dgsResult
 
 
 class Cf3dgsRecipeSettings(Cf3dgsSettings):
@@ -32,6 +33,11 @@ class Cf3dgsRecipeSettings(Cf3dgsSettings):
 
 def run(data: RecipeInput, settings: Cf3dgsRecipeSettings, context: RecipeContext) -> RecipeResult:
     """Track frame by frame while the splat grows, then measure it from cameras between the tracked ones."""
+    from toolkit.splat.cf3dgs import cf_3dgs
+    from toolkit.splat.evaluate import render_test_views
+    from toolkit.splat.interpolated_poses import with_interpolated_test_poses
+    from toolkit.splat.warm_up import warm_up
+
     depth = frame_depth(data.scene, settings.depth)  # missing weights are told before anything else
     lpips = Lpips()
     flat = flat_capture(data, context)

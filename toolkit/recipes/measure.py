@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,9 @@ from toolkit.metrics.trajectory import Alignment, relative_errors, trajectory_er
 from toolkit.progress import Progress, track
 from toolkit.recipes.base import TestView
 from toolkit.scene import Scene
-from toolkit.splat.evaluate import RenderedView
+
+if TYPE_CHECKING:
+    from toolkit.splat.evaluate import RenderedView
 
 
 def measure_test_renders(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from toolkit.metrics.lpips import Lpips
 from toolkit.recipes.base import RecipeContext
 from toolkit.recipes.measure import measure_poses, measure_test_renders
 from toolkit.scene import Scene
-from toolkit.splat.align_test import aligned_test_scene, refine_test_poses
-from toolkit.splat.evaluate import render_test_views
-from toolkit.splat.gaussians import Gaussians
-from toolkit.splat.train import TrainResult
 from toolkit.splat.train_settings import TrainSettings
+
+if TYPE_CHECKING:
+    from toolkit.splat.gaussians import Gaussians
+    from toolkit.splat.train import TrainResult
 
 REFINED_TESTS = "test_refined"
 
@@ -47,6 +47,8 @@ def judged_poses(scene: Scene, flat_scene: Scene, trained: TrainResult, referenc
     StageError
         Where the refined poses tell no similarity (:func:`toolkit.splat.align_test.aligned_test_scene`).
     """
+    from toolkit.splat.align_test import aligned_test_scene
+
     if not trained.poses:
         metrics, report = measure_poses(scene, reference)
         return JudgedPoses(scene, flat_scene, metrics, {"poses": report})
@@ -64,6 +66,9 @@ def measure_refined_test_renders(
 
     Nothing where ``refine_test_steps`` is 0.
     """
+    from toolkit.splat.align_test import refine_test_poses
+    from toolkit.splat.evaluate import render_test_views
+
     if settings.refine_test_steps == 0:
         return {}, {}
     fitted = refine_test_poses(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,11 @@ from toolkit.recipes.steps import SCENE, PosedStages, train_and_measure
 from toolkit.scene import Frame, Scene
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.settings import Choice, Group, Settings
-from toolkit.splat.chain import ChainSettings, DepthOf, plane_depth
-from toolkit.splat.chained_trajectory import chain_poses
-from toolkit.splat.interpolated_poses import with_interpolated_test_poses
+from toolkit.splat.chain_settings import ChainSettings
 from toolkit.splat.train_settings import TrainSettings
-from toolkit.splat.warm_up import warm_up
+
+if TYPE_CHECKING:
+    from toolkit.splat.chain import DepthOf
 
 
 class NoposegsSettings(Settings):
@@ -63,6 +63,8 @@ class NoposegsSettings(Settings):
 
 def run(data: RecipeInput, settings: NoposegsSettings, context: RecipeContext) -> RecipeResult:
     """Chain relative poses into a trajectory, then train a splat that refines it."""
+    from toolkit.splat.warm_up import warm_up
+
     # Missing weights are told before anything else.
     depth = frame_depth(data.scene, settings.depth) if settings.start == "depth" else None
     lpips = Lpips()
@@ -81,6 +83,9 @@ def run(data: RecipeInput, settings: NoposegsSettings, context: RecipeContext) -
 def _chain_stage(
     capture: Scene, flat: CachedStage, depth: FrameDepth | None, settings: NoposegsSettings, context: RecipeContext
 ) -> CachedStage:
+    from toolkit.splat.chained_trajectory import chain_poses
+    from toolkit.splat.interpolated_poses import with_interpolated_test_poses
+
     source = {"provider": "plane", "source": "a plane across the view", "substitute": True}
     depth_of: DepthOf = _Planes(capture)
     if depth is not None:
@@ -134,6 +139,8 @@ class _Planes:
         self._scene = scene
 
     def __call__(self, frame: Frame) -> NDArray[np.float32]:
+        from toolkit.splat.chain import plane_depth
+
         camera = self._scene.camera_of(frame)
         return plane_depth(camera.width, camera.height)
 

@@ -10,6 +10,7 @@ from toolkit.recipes.base import Recipe
 
 def all_recipes() -> dict[str, Recipe]:
     """Return every recipe by its name, in the order in which they are listed."""
+    from toolkit.recipes.blades import CIRCULAR, EXHAUSTIVE, SEQUENTIAL
     from toolkit.recipes.cf_3dgs import RECIPE as CF_3DGS
     from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
     from toolkit.recipes.noposegs import RECIPE as NOPOSEGS
@@ -21,6 +22,7 @@ def all_recipes() -> dict[str, Recipe]:
     recipes = (
         *(COLMAP_3DGS, CF_3DGS, NOPOSEGS, ORBSLAM, ORB_PNP),
         *(SENSOR_DPT, SENSOR_DEPTH, SENSOR_GROUND, SENSOR_3DGS, SENSOR_FUSED),
+        *(EXHAUSTIVE, SEQUENTIAL, CIRCULAR),
     )
     return {recipe.name: recipe for recipe in recipes}
 

@@ -9,8 +9,9 @@ from typing import Any
 
 from toolkit import matching, poses
 from toolkit.matching.database import copy_database
-from toolkit.matching.features import SiftSettings, extract_sift
-from toolkit.matching.match import MatchSettings, match_pairs
+from toolkit.matching.feature_choice import FeatureSettings, as_feature_settings, extract_features, match_features
+from toolkit.matching.features import SiftSettings
+from toolkit.matching.match import MatchSettings
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.metrics.lpips import Lpips
 from toolkit.poses.undistort import undistort
@@ -21,8 +22,6 @@ from toolkit.recipes.measure import measure_test_renders
 from toolkit.recipes.measure_refined import judged_poses, measure_refined_test_renders
 from toolkit.scene import Scene
 from toolkit.scene.folder import read_scene, write_scene
-from toolkit.splat.evaluate import render_test_views
-from toolkit.splat.train import train_splats
 from toolkit.splat.train_settings import TrainSettings
 
 DATABASE = "database.db"
@@ -30,40 +29,69 @@ SCENE = "scene"
 
 
 def features_and_matches(
-    data: RecipeInput, sift: SiftSettings, pairs: PairSettings, match: MatchSettings, context: RecipeContext
+    data: RecipeInput,
+    features: SiftSettings | FeatureSettings,
+    pairs: PairSettings,
+    match: MatchSettings | None,
+    context: RecipeContext,
 ) -> tuple[CachedStage, CachedStage]:
     """Return the stages features and matches, each taken from the workspace where it is there.
 
-    The database with verified matches is ``DATABASE`` in the second one's folder.
+    The database with verified matches is ``DATABASE`` in the second one's folder. Only the settings of the features
+    that were chosen count: the others may change without anything being done again.
+
+    Parameters
+    ----------
+    features:
+        Which features and how they are matched, or SIFT's settings.
+    match:
+        How SIFT features are matched where ``features`` are SIFT's settings; None beside FeatureSettings.
     """
     scene, seed, progress = data.scene, context.seed, context.progress
     chosen = choose_pairs(scene, pairs)  # what the pairs lack is told before features are extracted
+    wanted = as_feature_settings(features, match)
 
     def features_into(folder: Path) -> dict[str, Any]:
-        return extract_sift(scene, folder / DATABASE, sift, seed=seed, progress=progress).to_dict()
+        return extract_features(
+            scene,
+            folder / DATABASE,
+            wanted.chosen_features,
+            seed=seed,
+            progress=progress,
+            device=context.device,
+        ).to_dict()
 
-    features = cached_stage(
+    found = cached_stage(
         context,
         "features",
-        inputs={"capture": data.fingerprint},
-        settings=sift,
+        inputs={"capture": data.fingerprint, "method": wanted.method},
+        settings=wanted.chosen_features,
         code=(matching,),
         build=features_into,
     )
 
     def matches_into(folder: Path) -> dict[str, Any]:
-        copy_database(features.folder / DATABASE, folder / DATABASE)
-        return match_pairs(folder / DATABASE, scene, chosen, match, seed=seed, progress=progress).to_dict()
+        copy_database(found.folder / DATABASE, folder / DATABASE)
+        return match_features(
+            folder / DATABASE,
+            scene,
+            chosen,
+            wanted.chosen_matching,
+            features_from=found.folder / DATABASE,
+            seed=seed,
+            progress=progress,
+            device=context.device,
+        ).to_dict()
 
     matches = cached_stage(
         context,
         "matches",
-        inputs={"features": features.output.key, "pairs": pairs.to_dict()},
-        settings=match,
+        inputs={"features": found.output.key, "pairs": pairs.to_dict()},
+        settings=wanted.chosen_matching,
         code=(matching,),
         build=matches_into,
     )
-    return features, matches
+    return found, matches
 
 
 def undistorted(posed: CachedStage, context: RecipeContext) -> CachedStage:
@@ -107,6 +135,10 @@ def train_and_measure(
     lpips:
         Made before anything else, so that a damaged weights file is told before minutes are spent.
     """
+    # Imported only now: whoever reads settings does without PyTorch.
+    from toolkit.splat.evaluate import render_test_views
+    from toolkit.splat.train import train_splats
+
     scene = read_scene(posed.stages[-1].folder / SCENE)
     flat = undistorted(posed.stages[-1], context)
     flat_scene = read_scene(flat.folder / SCENE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ def create_run(
     seed: int = 0,
     device: str = "cpu",
     name: str = "",
+    threads: Mapping[str, Any] | None = None,
     progress: Progress = silent,
 ) -> RunFolder:
     """Return a new queued run; nothing is computed yet but the fingerprint of the data.
@@ -52,6 +54,8 @@ def create_run(
         ``"cpu"`` or ``"cuda"``.
     name:
         What the user calls it; may be empty.
+    threads:
+        With how many it will compute (:func:`~toolkit.runs.machine.describe_threads`); None: as this process.
     progress:
         Told of every picture that is checked and hashed.
 
@@ -90,7 +94,7 @@ def create_run(
         created=utc_now(),
         code=describe_code(),
         machine=describe_machine(device),
-        threads=describe_threads(),
+        threads=dict(threads) if threads is not None else describe_threads(),
     )
     return make_folder(runs_dir, run_id, record)
 

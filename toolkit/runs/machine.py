@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import subprocess
+import sys
+from ctypes.util import find_library
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import toolkit
+from toolkit.errors import RunError
 from toolkit.workspace import code_version
 
 _LIBRARIES = ("numpy", "scipy", "torch", "torchvision", "numba", "pycolmap", "gsplat")
@@ -33,6 +37,17 @@ def describe_machine(device: str) -> dict[str, Any]:
     return described
 
 
+@cache
+def devices_here() -> tuple[str, ...]:
+    """Return the devices on which a run can work: ``cpu``, and ``cuda`` where PyTorch finds a GPU."""
+    # Without NVIDIA's driver there is none: told without importing PyTorch, which takes half a gigabyte.
+    if find_library("cuda") is None and find_library("nvcuda") is None:
+        return ("cpu",)
+    import torch
+
+    return ("cpu", "cuda") if torch.cuda.is_available() else ("cpu",)
+
+
 def describe_threads() -> dict[str, Any]:
     """Return how many threads the kernels use: results are only the same to the bit with the same numbers."""
     import torch
@@ -44,6 +59,30 @@ def describe_threads() -> dict[str, Any]:
         "numba": thread_count(),
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS"),
     }
+
+
+@cache
+def threads_elsewhere() -> dict[str, Any]:
+    """Return :func:`describe_threads` of a new process, such as those that work off the queue.
+
+    A server asks this instead of importing PyTorch for the answer, half a gigabyte. It takes some seconds, once.
+
+    Raises
+    ------
+    RunError
+        Where no process can be started.
+    """
+    command = (
+        "import json; from toolkit.runs.machine import describe_threads; print(json.dumps(describe_threads()))"
+    )
+    try:
+        said = subprocess.run([sys.executable, "-c", command], check=True, capture_output=True, text=True)
+    except (OSError, subprocess.SubprocessError) as error:
+        raise RunError(
+            "No process can be started to ask for its threads", expected="a Python process", found=str(error)
+        ) from error
+    described: dict[str, Any] = json.loads(said.stdout)
+    return described
 
 
 @cache

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from toolkit.errors import DataError
-from toolkit.scene import strecha
+from toolkit.scene import middlebury, strecha
 from toolkit.scene.colmap_files import has_model
 from toolkit.scene.folder import SCENE_FILE
 from toolkit.scene.photos import ENDINGS
@@ -106,6 +106,8 @@ def capture_folder(folder: Path, root: Path) -> CaptureFolder | None:
         layout = "COLMAP"
     elif images and strecha.FOLDER in entries:
         layout = "EPFL"
+    elif images and middlebury.parameter_file(folder) is not None:
+        layout = "Middlebury"
     return CaptureFolder(folder, root, layout, photos)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from toolkit.errors import DataError
 from toolkit.progress import Progress, silent, track
-from toolkit.scene import strecha
+from toolkit.scene import middlebury, strecha
 from toolkit.scene.colmap import scene_like
 from toolkit.scene.colmap_files import has_model, read_model
 from toolkit.scene.folder import SCENE_FILE, read_scene
@@ -57,6 +57,7 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
     - ``images/`` and a COLMAP model in ``sparse/``: its poses become the reference, the one with most images where
       there are several; its cameras are the scene's, too.
     - ``images/`` and ``gt_dense_cameras/``: the EPFL benchmark; its cameras are the reference only.
+    - ``images/`` and one ``*_par.txt``: the Middlebury benchmark; its cameras are the reference only.
     - photos, in ``images/`` or directly.
 
     Every eighth frame is a test frame, unless ``scene.json`` or ``transforms.json`` names test frames of its own.
@@ -93,6 +94,8 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
         return _colmap_folder(scene, models, warnings)
     if (folder / strecha.FOLDER).is_dir():
         return Capture(scene, strecha.with_truth(scene, folder / strecha.FOLDER), warnings)
+    if (folder / "images").is_dir() and (cameras := middlebury.parameter_file(folder)) is not None:
+        return Capture(scene, middlebury.with_truth(scene, cameras), warnings)
     return Capture(scene, None, warnings)
 
 

@@ -107,6 +107,13 @@ def load_picture(path: Path) -> NDArray[np.uint8]:
     )
 
 
+def load_grey(path: Path) -> NDArray[np.uint8]:
+    """Return a picture's brightness (H, W) uint8 by ITU-R BT.601, as in videos. Raises as :func:`load_picture`."""
+    mixed = load_picture(path) @ np.array([0.299, 0.587, 0.114])
+    grey: NDArray[np.uint8] = np.rint(mixed).astype(np.uint8)
+    return grey
+
+
 def area_resize(image: NDArray[Value], width: int, height: int) -> NDArray[Value]:
     """Resample by area: each new pixel is the mean of the old pixels it covers, in proportion to the overlap.
 

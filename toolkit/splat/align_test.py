@@ -24,10 +24,11 @@ from toolkit.geometry.alignment import Similarity, align_poses
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Points, Scene
+from toolkit.splat.chain_settings import RelativePoseSettings
 from toolkit.splat.evaluate import raster_settings
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import load_photo
-from toolkit.splat.relative_pose import RelativePoseSettings, find_relative_pose
+from toolkit.splat.relative_pose import find_relative_pose
 from toolkit.splat.train_settings import TrainSettings
 
 #: Share of a test photo that must be covered.

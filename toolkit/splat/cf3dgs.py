@@ -24,8 +24,8 @@ from toolkit.errors import CapabilityError
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
-from toolkit.settings import Choice, Group, Number, Settings
-from toolkit.splat.chain import ChainSettings, DepthOf, FrameReport, TrackedFrame, track_frames
+from toolkit.splat.chain import DepthOf, FrameReport, TrackedFrame, track_frames
+from toolkit.splat.chain_settings import Cf3dgsSettings
 from toolkit.splat.chained_trajectory import lost_at, seconds_by_part, with_poses
 from toolkit.splat.density import DensityChange
 from toolkit.splat.gaussians import Gaussians
@@ -37,26 +37,6 @@ from toolkit.splat.train_state import at_most
 
 STAGE: Final = "splat.cf3dgs"
 _STATM = Path("/proc/self/statm")
-
-
-class Cf3dgsSettings(Settings):
-    """Settings of CF-3DGS."""
-
-    chain = Group(ChainSettings(), doc="Local Gaussians and motions between frames")
-    train = Group(
-        TrainSettings(densify_start=0.0, densify_stop=1.0, reset_every=0),
-        doc="The global Gaussians; steps are those of the whole sequence, and lengths are in median depths of the "
-        "first frame",
-    )
-    grow = Choice(
-        "densify",
-        choices=("densify", "fill"),
-        doc="How the global set comes to cover what new frames show. densify: by density control alone (Fu et "
-        "al.); fill: the new frame's own Gaussians are taken in, too, where nothing is yet.",
-    )
-    final_share = Number(
-        0.0, bounds=(0.0, 1.0), unit="of steps", doc="On all frames, after the last one came; 0: none (Fu et al.)."
-    )
 
 
 @dataclass(frozen=True, slots=True)

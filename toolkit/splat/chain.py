@@ -27,30 +27,19 @@ from toolkit.errors import StageError
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Frame, Scene
-from toolkit.settings import Boolean, Group, Integer, Settings
+from toolkit.splat.chain_settings import ChainSettings
 from toolkit.splat.evaluate import raster_settings
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo
-from toolkit.splat.local_gaussians import LocalSettings, depth_at, known_depth, local_gaussians
+from toolkit.splat.local_gaussians import depth_at, known_depth, local_gaussians
 from toolkit.splat.rasterize import RasterSettings, rasterize
-from toolkit.splat.relative_pose import RelativePose, RelativePoseSettings, find_relative_pose
+from toolkit.splat.relative_pose import RelativePose, find_relative_pose
 from toolkit.splat.train_settings import TrainSettings
 
 STAGE: Final = "splat.chain"
 #: Depths are compared where the Gaussians cover a pixel at least this much.
 _OPAQUE: Final = 0.9
 DepthOf = Callable[[Frame], NDArray[np.floating]]
-
-
-class ChainSettings(Settings):
-    """How frames are tracked one after the other."""
-
-    local = Group(LocalSettings(), doc="Gaussians of one frame")
-    pose = Group(RelativePoseSettings(), doc="Motion to the next frame")
-    match_scale = Boolean(True, doc="Scale each frame's depth so that it agrees with the frame before.")
-    points_per_frame = Integer(
-        500, bounds=(1, 1_000_000), doc="Of each frame's depth that become points of the scene (NoposeGS)."
-    )
 
 
 @dataclass(frozen=True, slots=True)

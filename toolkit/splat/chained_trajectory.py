@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, silent
 from toolkit.scene import Points, Scene
-from toolkit.splat.chain import ChainSettings, DepthOf, FrameReport, in_world, track_frames
+from toolkit.splat.chain import DepthOf, FrameReport, in_world, track_frames
+from toolkit.splat.chain_settings import ChainSettings
 from toolkit.splat.gaussians import SH_C0, Gaussians
 from toolkit.splat.train_settings import TrainSettings
 

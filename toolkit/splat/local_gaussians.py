@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.errors import DataError, StageError
-from toolkit.settings import Integer, Number, Settings
+from toolkit.splat.chain_settings import LocalSettings
 from toolkit.splat.evaluate import raster_settings
 from toolkit.splat.gaussians import SH_C0, Gaussians
 from toolkit.splat.images import Photo
@@ -23,17 +23,6 @@ from toolkit.splat.loss import photometric_loss
 from toolkit.splat.optimiser import GaussianOptimiser
 from toolkit.splat.rasterize import rasterize
 from toolkit.splat.train_settings import TrainSettings
-
-
-class LocalSettings(Settings):
-    """The Gaussians of one frame."""
-
-    stride = Integer(2, bounds=(1, 64), unit="px", doc="Sides of the square of pixels that gives one Gaussian.")
-    opacity = Number(0.8, bounds=(0.01, 0.99), doc="Of each Gaussian before the fit.")
-    width = Number(
-        0.5, bounds=(0.05, 5.0), unit="strides", doc="Standard deviation before the fit, seen from the frame."
-    )
-    steps = Integer(100, bounds=(0, 100_000), unit="steps", doc="Of the fit to the frame's own photo.")
 
 
 def gaussians_from_depth(photo: Photo, depth: NDArray[np.floating], settings: LocalSettings) -> Gaussians:

@@ -21,8 +21,8 @@ from torch import Tensor
 from toolkit.errors import NumericalError
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
-from toolkit.settings import Integer, Number, Settings
 from toolkit.splat.adam import adam_update
+from toolkit.splat.chain_settings import RelativePoseSettings
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo
 from toolkit.splat.lie import exp_se3
@@ -35,30 +35,6 @@ STAGE: Final = "splat.relative_pose"
 _COARSE: Final = ((0.4, 4), (0.7, 2), (1.0, 1))
 #: Photos are not shrunk below this side: the window of SSIM has 11 pixels.
 _MIN_SIDE: Final = 16
-
-
-class RelativePoseSettings(Settings):
-    """How the motion from one frame to the next is found."""
-
-    steps = Integer(200, bounds=(1, 100_000), unit="steps", doc="Most steps on one pose, over all photo sizes.")
-    lr = Number(
-        6e-3, bounds=(1e-9, 1.0), unit="radians and depths", doc="Learning rate of the motion at the first step."
-    )
-    lr_final = Number(2e-4, bounds=(1e-9, 1.0), doc="... at the last; exponential in between.")
-    lambda_dssim = Number(0.2, bounds=(0.0, 1.0), doc="Share of D-SSIM in the loss; the rest is L1.")
-    min_alpha = Number(
-        0.9, bounds=(0.0, 1.0), doc="Pixels that the Gaussians cover less than this are not compared."
-    )
-    min_overlap = Number(0.3, bounds=(0.0, 1.0), doc="Smallest share of the photo that must be covered.")
-    max_loss = Number(
-        0.2, bounds=(0.0, 2.0), doc="A pose is found where the loss falls to this; above, it did not converge."
-    )
-    patience = Integer(
-        25, bounds=(1, 100_000), unit="steps", doc="A photo size is left where the loss stands still for so long."
-    )
-    tolerance = Number(
-        1e-3, bounds=(0.0, 1.0), doc="... that is, where it does not fall by this share of the lowest so far."
-    )
 
 
 @dataclass(frozen=True, slots=True)

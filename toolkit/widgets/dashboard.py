@@ -7,10 +7,9 @@ from pathlib import Path
 
 import panel as pn
 
+from toolkit.widgets.page import page_template
 from toolkit.widgets.shell import Shell
-from toolkit.widgets.style import FONT, GROUND, LocalFast, page_css
 
-TITLE = "Sightline Toolkit"
 #: Milliseconds between looks at the disk.
 REFRESH = 3000
 
@@ -39,21 +38,3 @@ def dark_wanted() -> bool:
     """Return whether the visitor's address asks for a dark ground."""
     asked: bytes = pn.state.session_args.get("theme", [b""])[0]
     return asked == b"dark"
-
-
-def page_template(content: pn.viewable.Viewer, *, dark: bool, title: str = TITLE) -> pn.template.FastListTemplate:
-    """Return a page in the toolkit's looks with nothing but ``content``."""
-    return pn.template.FastListTemplate(
-        title=title,
-        main_layout=None,
-        main=[content],
-        raw_css=[page_css(dark=dark)],
-        accent="#2563eb",
-        design=LocalFast,
-        background_color=GROUND["dark" if dark else "light"],
-        font=FONT,
-        font_url="",
-        # It would turn at each look at the disk.
-        busy_indicator=None,
-        meta_viewport="width=device-width, initial-scale=1",
-    )

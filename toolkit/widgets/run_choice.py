@@ -15,6 +15,7 @@ from toolkit.recipes.available import missing_here
 from toolkit.recipes.base import Recipe
 from toolkit.recipes.presets import recipe_presets, with_preset
 from toolkit.recipes.registry import all_recipes, find_recipe
+from toolkit.runs.machine import devices_here
 from toolkit.runs.names import LONGEST_NAME
 from toolkit.runs.record import RunRecord
 from toolkit.runs.report_html import warning_list
@@ -191,7 +192,7 @@ class RunChoice(pn.viewable.Viewer):
             margin=_MARGIN,
         )
         self._seed = pn.widgets.IntInput(label="Seed", value=0, width=130, margin=_MARGIN)
-        self._device = _select("Device", options=_devices(), value="cpu", width=130)
+        self._device = _select("Device", options=list(devices_here()), value="cpu", width=130)
 
     def _arranged(self) -> pn.Column:
         def row(*parts: pn.viewable.Viewable) -> pn.FlexBox:
@@ -288,9 +289,3 @@ def _select(
     return pn.widgets.Select(
         label=label, options=options, value=value, width=width, margin=_MARGIN, stylesheets=[SELECT]
     )
-
-
-def _devices() -> list[str]:
-    import torch
-
-    return ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]

@@ -14,6 +14,7 @@ from toolkit.runs.estimate import Estimator
 from toolkit.runs.extend import extend_run
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import create_run
+from toolkit.runs.machine import threads_elsewhere
 from toolkit.runs.markup import element
 from toolkit.runs.measures import format_seconds
 from toolkit.runs.report_html import warning_list
@@ -133,6 +134,7 @@ class RunPage(pn.viewable.Viewer):
             seed=asked.seed,
             device=asked.device,
             name=asked.name,
+            threads=threads_elsewhere(),
             progress=progress,
         )
 

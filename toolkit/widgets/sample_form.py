@@ -1,4 +1,4 @@
-"""Making a sample: a flight over a town that is drawn here, with the truth beside it."""
+"""Making a sample: a flight over a town or blades of an engine, drawn here, with the truth beside it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from toolkit.errors import DataError, SettingsError, ToolkitError
 from toolkit.progress import Progress
 from toolkit.samples import SampleSettings, make_sample
 from toolkit.samples.drone_flights import FLIGHTS, OrbitVideoSettings, make_drone_flight
+from toolkit.samples.engine import EngineSettings, make_engine
 from toolkit.scene.new_folder import new_folder
 from toolkit.settings import Settings
 from toolkit.widgets.settings_form import SettingsForm
@@ -21,12 +22,18 @@ _WIDTH = 260
 _MARGIN = (4, 8)
 _PICTURES = "pictures"
 _LARGEST_SEED = 2**31 - 1
-_KINDS: dict[str, type[Settings]] = {_PICTURES: SampleSettings, **FLIGHTS}
-_TITLES = {_PICTURES: "Pictures of a flight", "orbit": "Filmed orbit", "spiral": "Filmed spiral"}
+_ENGINE = "engine"
+_KINDS: dict[str, type[Settings]] = {_PICTURES: SampleSettings, **FLIGHTS, _ENGINE: EngineSettings}
+_TITLES = {
+    _PICTURES: "Pictures of a flight",
+    "orbit": "Filmed orbit",
+    "spiral": "Filmed spiral",
+    _ENGINE: "Blades of an engine",
+}
 
 
 class SampleForm(pn.viewable.Viewer):
-    """Choose what is flown and how, and make it in the first data folder.
+    """Choose what is filmed and how, and make it in the first data folder.
 
     Parameters
     ----------
@@ -109,6 +116,8 @@ def _made(folder: Path, settings: Settings, seed: int, progress: Progress) -> Pa
         make_sample(folder, settings, seed=seed, progress=progress)
     elif isinstance(settings, OrbitVideoSettings):
         make_drone_flight(folder, settings, seed=seed, progress=progress)
+    elif isinstance(settings, EngineSettings):
+        make_engine(folder, settings, seed=seed, progress=progress)
     else:
         raise SettingsError("These are no settings of a sample", found=type(settings).__name__)
     return folder

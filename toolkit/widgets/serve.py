@@ -8,6 +8,7 @@ import os
 import secrets
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +20,8 @@ from toolkit.optional import require
 LOCAL: Final = "127.0.0.1"
 #: Fewer characters are guessed too soon.
 SHORTEST_PASSWORD: Final = 8
+#: Seconds in which the list of runs is read before anybody asks for it.
+_FIRST_LOOK: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +79,19 @@ def serve(
     require("panel")
     from panel.io.server import get_server
 
-    from toolkit.widgets.dashboard import TITLE, dashboard
+    from toolkit.runs.catalogue import shared_catalogue
+    from toolkit.widgets.dashboard import dashboard
+    from toolkit.widgets.page import TITLE
     from toolkit.widgets.task import cancel_all
 
     opening = opening or Opening()
     options = _protection(opening)
     _refuse_taken(opening.host, opening.port)
+    # The first visitor need not wait for this; what cannot be read the page tells.
+    with suppress(RunError):
+        catalogue = shared_catalogue(runs_dir.resolve())
+        catalogue.refresh(within=_FIRST_LOOK)
+        catalogue.numbers()
     server = get_server(
         lambda: dashboard(runs_dir, data_dirs, clusters=clusters),
         port=opening.port,

@@ -12,6 +12,7 @@ from panel.io.location import Location
 
 from toolkit.runs.index import run_folders
 from toolkit.widgets.address import Address
+from toolkit.widgets.compare_page import ComparePage
 
 #: The tabs by their names in the address, from left to right.
 TABS: Final = {
@@ -140,8 +141,6 @@ class Shell(pn.viewable.Viewer):
 
                 return SweepPage(self._runs_dir, self._data_dirs, clusters=self._clusters, **shared)
             case _:
-                from toolkit.widgets.compare_page import ComparePage
-
                 return ComparePage(self._runs_dir, self._address, wait=self._loading, **shared)
 
     def _make(self, tab: str, prepare: Callable[[Page], None] | None = None) -> None:

@@ -1,0 +1,238 @@
+"""Measures blade footage: which pairs fold blades onto each other, what closing the circle gives, learned features.
+
+``python tests/benchmarks/blades.py [pairs] [growth] [masks] [segments] [circle] [learned] [--work DIR]`` prints the
+tables of docs/blades.md, all of them where none is named. The footage is made once and kept in ``--work``.
+``toolkit table blades-camera-models`` makes that of camera models, ``temple_ring.py`` that of real pictures.
+
+Truth: a verified pair is wrong where fewer than half of its inliers show the same place of the same blade. Blades
+stand apart where the middles of their points are at least half as far from each other, measured in the size of a
+blade's own points, as they are in truth; how many do is the number of groups when all others are joined.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from blade_footage import (
+    COLUMNS,
+    KNOWN,
+    arc_of,
+    blades_apart,
+    engine,
+    head,
+    masked,
+    reconstruct,
+    row,
+    told,
+    wrong_pairs,
+)
+
+from toolkit.matching.feature_choice import FeatureSettings
+from toolkit.matching.pairs import PairSettings
+from toolkit.matching.wrong_pairs import WrongPairSettings, drop_pairs, find_wrong_pairs
+from toolkit.metrics.circle import circle_errors, fit_circle
+from toolkit.poses.circular import close_circle
+from toolkit.poses.circular_seam import seam_matches, seam_tracks
+from toolkit.poses.circular_settings import CircularSettings
+from toolkit.poses.sfm import incremental_sfm
+from toolkit.recipes.blades import small_step_sfm
+from toolkit.samples.engine import EngineSample
+from toolkit.scene import Scene
+
+
+def measure_pairs(work: Path) -> None:
+    """Exhaustive against sequential on the same frames: 40 degrees in 200 frames, ten blades pass."""
+    sample = engine(work, frames=200, stride=2)
+    scene = masked(sample, work)
+    head(f"Pairs: {len(scene)} frames, {sample.angles[-1]:.1f} degrees, lens known", *COLUMNS)
+    every = reconstruct(scene, work / "every", PairSettings(method="exhaustive"))
+    told(sample, "exhaustive", every, int(wrong_pairs(sample, every).sum()))
+    start = time.perf_counter()
+    flagged = find_wrong_pairs(every.database, scene, WrongPairSettings())
+    seconds = time.perf_counter() - start
+    target = work / "every" / "dropped.db"
+    drop_pairs(every.database, flagged.wrong, target)
+    kept = incremental_sfm(scene, target, small_step_sfm().replace(KNOWN), work_dir=work / "every")
+    wrong = {tuple(pair) for pair in every.report.pairs[every.report.verified][wrong_pairs(sample, every)].tolist()}
+    dropped = {tuple(pair) for pair in flagged.wrong.tolist()}
+    apart, there = blades_apart(sample, kept.scene)
+    row(
+        "exhaustive, wrong pairs dropped",
+        len(every.report.pairs),
+        int(every.report.verified.sum()) - len(dropped),
+        len(wrong - dropped),
+        f"{len(kept.scene.registered)} of {len(scene)}",
+        arc_of(kept.scene),
+        f"{apart} of {there}",
+        0 if kept.scene.points is None else len(kept.scene.points),
+        f"{every.report.seconds + seconds:.0f}",
+        f"{kept.seconds['mapping'] + kept.seconds['adjustment']:.0f}",
+    )
+    print(
+        f"\nDropped {len(dropped)} pairs, {len(dropped - wrong)} of them right; {len(wrong - dropped)} wrong stay."
+    )
+    head("Windows, the same frames (2.5 frames are 5 of the paper's)", *COLUMNS)
+    for window in (3, 5, 8, 10):
+        pairs = PairSettings(method="sequential", overlap=window, quadratic=False)
+        found = reconstruct(scene, work / f"window{window}", pairs)
+        told(sample, f"sequential, {window}", found, int(wrong_pairs(sample, found).sum()))
+
+
+def measure_growth(work: Path) -> None:
+    """How the cost of matching grows with frames."""
+    sample = engine(work, frames=200, stride=2)
+    scene = masked(sample, work)
+    head("Cost of matching", "frames", "sequential, 8: pairs", "s", "exhaustive: pairs", "s")
+    for count in (50, 100, 200):
+        part = scene.replace(frames=scene.frames[:count])
+        cells: list[object] = [count]
+        for pairs in (
+            PairSettings(method="sequential", overlap=8, quadratic=False),
+            PairSettings(method="exhaustive"),
+        ):
+            found = reconstruct(part, work / f"growth{count}", pairs, sfm=False)
+            cells += [len(found.report.pairs), f"{found.report.seconds:.1f}"]
+        row(*cells)
+
+
+def measure_masks(work: Path) -> None:
+    """With and without a mask of what does not turn."""
+    sample = engine(work, frames=200, stride=2)
+    head("Mask of what does not turn, sequential, 8", *COLUMNS)
+    for name, scene in (("masked", masked(sample, work)), ("not masked", sample.scene.without_poses())):
+        found = reconstruct(scene, work / name, PairSettings(method="sequential", overlap=8, quadratic=False))
+        told(sample, name, found, int(wrong_pairs(sample, found).sum()))
+
+
+def measure_segments(work: Path) -> None:
+    """Three segments of 98 degrees, with little and with much shake, lens unknown."""
+    head(
+        "98 degrees from different places, OPENCV_FISHEYE found with the poses",
+        *(
+            "shake (%)",
+            "start (deg)",
+            "placed",
+            "arc (deg)",
+            "radius spread",
+            "out of plane",
+            "size, last to first",
+        ),
+    )
+    for shake in (0.05, 1.0):
+        for start in (0.0, 120.0, 240.0):
+            sample = engine(work, frames=246, stride=4, start=start, shake=shake)
+            pairs = PairSettings(method="sequential", overlap=sample.window, quadratic=False)
+            scene = masked(sample, work)
+            database = reconstruct(scene, work / "segment", pairs, sfm=False).database
+            found = incremental_sfm(scene, database, small_step_sfm(), work_dir=work / "segment").scene
+            fit = fit_circle(found.centres())
+            row(
+                f"{shake:g}",
+                f"{start:g}",
+                f"{len(found.registered)} of {len(found)}",
+                f"{fit.arc_degrees:.1f}",
+                f"{fit.radius_spread:.4f}",
+                f"{fit.out_of_plane_rms:.4f}",
+                f"{size_drift(found, sample.scene):.3f}",
+            )
+
+
+def size_drift(found: Scene, truth: Scene) -> float:
+    """Return the scale at the end divided by that at the beginning, from the steps of the camera: 1 is no drift."""
+    true = {frame.name: frame.cam_from_world for frame in truth.frames}
+    centres, exact = found.centres(), []
+    for frame in found.registered:
+        pose = true[frame.name]
+        assert pose is not None
+        exact.append(pose.centre)
+    steps = np.linalg.norm(centres[10:] - centres[:-10], axis=1)
+    steps /= np.linalg.norm(np.array(exact[10:]) - np.array(exact[:-10]), axis=1)
+    fifth = max(1, len(steps) // 5)
+    return float(np.median(steps[-fifth:]) / np.median(steps[:fifth]))
+
+
+def measure_circle(work: Path) -> None:
+    """A whole turn with shake: as it drifts, and closed with and without matches across the seam."""
+    sample = engine(work, frames=720, stride=5)
+    scene = masked(sample, work)
+    head(
+        f"A whole turn, {len(scene)} frames, shake 0.2 %, intrinsics free",
+        *("", "placed", "turn (deg)", "gap (% of circumference)", "position (% of radius)"),
+        *("orientation (deg)", "angle (deg)", "s"),
+    )
+    window = sample.window
+    for closed in (True, False):
+        pairs = PairSettings(method="sequential", overlap=window, quadratic=False, closed=closed)
+        database = reconstruct(scene, work / f"circle-{closed}", pairs, sfm=False).database
+        start = time.perf_counter()
+        found = incremental_sfm(scene, database, small_step_sfm(), work_dir=work / "circle").scene
+        name = "matches across the seam" if closed else "matches across the seam withheld"
+        _circle_row(f"sfm, {name}", found, sample, time.perf_counter() - start)
+        start = time.perf_counter()
+        joined = seam_tracks(found, seam_matches(found, database)).scene
+        result = close_circle(joined, CircularSettings(full_turn=not closed))
+        _circle_row(f"circle, {name}", result.scene, sample, time.perf_counter() - start)
+
+
+def _circle_row(name: str, found: Scene, sample: EngineSample, seconds: float) -> None:
+    errors = circle_errors(found, sample.scene)
+    step = float(sample.angles[-1] - sample.angles[0])
+    fit = fit_circle(found.centres(), expected_turn=step)
+    gap = abs(fit.arc_degrees - step) / 360.0
+    row(
+        name,
+        f"{len(found.registered)} of {len(found)}",
+        f"{fit.arc_degrees:.2f} of {step:.2f}",
+        f"{100 * gap:.3f}",
+        f"{100 * np.sqrt(np.mean(errors.position**2)):.2f} (max {100 * errors.position.max():.2f})",
+        f"{np.sqrt(np.mean(errors.rotation_deg**2)):.3f} (max {errors.rotation_deg.max():.3f})",
+        f"{np.sqrt(np.mean(errors.angle_deg**2)):.3f} (max {np.abs(errors.angle_deg).max():.3f})",
+        f"{seconds:.0f}",
+    )
+
+
+def methods() -> Iterator[tuple[str, FeatureSettings]]:
+    yield "SIFT", FeatureSettings()
+    for name in ("disk", "aliked"):
+        settings = FeatureSettings(method=f"{name}-lightglue")
+        yield f"{name.upper()} + LightGlue", settings.replace({f"{name}.max_features": 1024})
+
+
+def measure_learned(work: Path) -> None:
+    """SIFT against learned features on the engine."""
+    sample = engine(work, frames=40, stride=4)
+    scene = masked(sample, work)
+    window = sample.window
+    head(f"Features on the engine, {len(scene)} frames, sequential, {window}", *COLUMNS)
+    for name, features in methods():
+        pairs = PairSettings(method="sequential", overlap=window, quadratic=False)
+        found = reconstruct(scene, work / "learned", pairs, features)
+        told(sample, name, found, int(wrong_pairs(sample, found).sum()))
+        print(f"{name}: features {found.seconds_features:.0f} s, {found.report.seconds_per_pair:.3f} s a pair")
+
+
+def main() -> None:
+    measures: dict[str, Callable[[Path], None]] = {
+        "pairs": measure_pairs,
+        "growth": measure_growth,
+        "masks": measure_masks,
+        "segments": measure_segments,
+        "circle": measure_circle,
+        "learned": measure_learned,
+    }
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*", choices=[[], *measures], default=[], help="which of them [all]")
+    parser.add_argument(
+        "--work", type=Path, default=Path("runs/bench-blades"), help="folder of footage and results"
+    )
+    options = parser.parse_args()
+    for name in options.what or measures:
+        measures[name](options.work)
+
+
+if __name__ == "__main__":
+    main()

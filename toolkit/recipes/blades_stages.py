@@ -1,0 +1,301 @@
+"""Stages of the recipes for blades: lens, features and pairs, poses, the closed circle, and their measures."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolkit import capture, matching, poses
+from toolkit.capture.mask_files import with_mask
+from toolkit.capture.static_mask import StaticMaskSettings, find_static_mask
+from toolkit.capture.temporal import TemporalSettings, sampled_numbers, temporal_statistics
+from toolkit.errors import StageError
+from toolkit.matching.feature_choice import FeatureSettings, extract_features, match_features
+from toolkit.matching.pairs import PairSettings, choose_pairs
+from toolkit.matching.wrong_pairs import WrongPairSettings, drop_pairs, find_wrong_pairs
+from toolkit.metrics.circle import circle_errors, fit_circle
+from toolkit.poses.arc_sigma import arc_sigma
+from toolkit.poses.camera_start import plain_cameras, with_cameras
+from toolkit.poses.circular import close_circle
+from toolkit.poses.circular_seam import seam_matches, seam_tracks
+from toolkit.poses.circular_settings import CircularSettings
+from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.poses.two_step import two_step
+from toolkit.progress import track
+from toolkit.recipes.base import RecipeContext, RecipeInput
+from toolkit.recipes.cached import CachedStage, cached_stage
+from toolkit.recipes.measure import measure_poses
+from toolkit.recipes.steps import DATABASE, SCENE, features_and_matches
+from toolkit.scene import Scene
+from toolkit.scene.folder import read_scene, write_scene
+from toolkit.scene.pictures import load_grey
+from toolkit.settings import Boolean, Choice, Group, Number, Settings
+
+#: Models that structure from motion can find without knowing the lens.
+MODELS = (
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "FULL_OPENCV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "OPENCV_FISHEYE",
+    "FOV",
+    "SIMPLE_DIVISION",
+    "DIVISION",
+)
+
+
+class LensSettings(Settings):
+    """What is known of the lens, and how its distortion is found."""
+
+    way = Choice(
+        "one-step",
+        choices=("one-step", "two-step", "known"),
+        doc="one-step: the model is part of the reconstruction; two-step: it is found first, the pictures are "
+        "undistorted, and all begins again with a fixed PINHOLE; known: the capture's own cameras are kept.",
+    )
+    model = Choice("OPENCV_FISHEYE", choices=MODELS, doc="Camera model that is to be found, starting undistorted.")
+    start_focal = Number(
+        0.0,
+        bounds=(0.0, 10.0),
+        unit="widths",
+        doc="Focal length to start from, in widths of the picture; 0: that of the capture's cameras.",
+    )
+
+
+class MaskSettings(Settings):
+    """Icons and structure that do not turn with the blades, found in the frames themselves."""
+
+    find = Boolean(True, doc="Find and leave out what does not move, where the capture has no masks of its own.")
+    temporal = Group(TemporalSettings(), doc="Statistics over time that tell it")
+    static = Group(StaticMaskSettings(), doc="How it is told from what moves")
+
+
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """Features and verified matches: the stages, the last of which has ``DATABASE``, and their capture."""
+
+    data: RecipeInput
+    stages: tuple[CachedStage, ...]
+
+    @property
+    def database(self) -> Path:
+        """COLMAP's database with the matches that are left."""
+        return self.stages[-1].folder / DATABASE
+
+
+def masked_capture(
+    data: RecipeInput, settings: MaskSettings, context: RecipeContext
+) -> tuple[RecipeInput, tuple[CachedStage, ...]]:
+    """Return the capture with a mask of what does not move, and its stage. Masks that are there stay."""
+    scene = data.scene
+    if scene.mask_dir is not None or not settings.find:
+        return data, ()
+
+    def masks_into(folder: Path) -> dict[str, Any]:
+        chosen = sampled_numbers(len(scene), settings.temporal.frames, context.seed)
+        frames = [scene.image_path(scene.frames[number]) for number in chosen]
+        looked_at = (load_grey(path) for path in track(frames, "masks.statistics", context.progress))
+        found = find_static_mask(temporal_statistics(looked_at, settings.temporal), settings.static)
+        with_mask(scene, found.mask, folder / "masks", progress=context.progress)
+        return found.to_dict()
+
+    made = cached_stage(
+        context,
+        "masks",
+        inputs={"capture": data.fingerprint},
+        settings=settings,
+        code=(capture,),
+        build=masks_into,
+    )
+    masks = made.folder / "masks"
+    if not masks.is_dir():  # nothing stands still
+        return data, (made,)
+    masked = scene.replace(mask_dir=masks)
+    return dataclasses.replace(data, scene=masked, fingerprint=f"{data.fingerprint}-{made.output.key}"), (made,)
+
+
+def start_capture(data: RecipeInput, lens: LensSettings) -> RecipeInput:
+    """Return the capture with the cameras that the lens settings begin from, under a fingerprint of its own."""
+    if lens.way == "known":
+        return data
+    scene = data.scene
+    width = max(camera.width for camera in scene.cameras.values())
+    cameras = plain_cameras(scene, lens.model, lens.start_focal * width)
+    told = f"{data.fingerprint}-{lens.model}-{lens.start_focal:g}"
+    return dataclasses.replace(data, scene=with_cameras(scene, cameras), fingerprint=told)
+
+
+def match_frames(
+    data: RecipeInput,
+    features: FeatureSettings,
+    pairs: PairSettings,
+    wrong: WrongPairSettings | None,
+    context: RecipeContext,
+) -> Matched:
+    """Return features and matches, without pairs that contradict the sequence where ``wrong`` says how to tell."""
+    stages = features_and_matches(data, features, pairs, None, context)
+    if wrong is None:
+        return Matched(data, stages)
+    matches = stages[-1]
+
+    def dropped_into(folder: Path) -> dict[str, Any]:
+        database = matches.folder / DATABASE
+        found = find_wrong_pairs(database, data.scene, wrong, seed=context.seed, progress=context.progress)
+        dropped = drop_pairs(database, found.wrong, folder / DATABASE)
+        return {**found.to_dict(), "dropped": dropped}
+
+    checked = cached_stage(
+        context,
+        "pairs",
+        inputs={"matches": matches.output.key},
+        settings=wrong,
+        code=(matching,),
+        build=dropped_into,
+    )
+    return Matched(data, (*stages, checked))
+
+
+def find_poses(
+    matched: Matched,
+    lens: LensSettings,
+    sfm: SfmSettings,
+    features: FeatureSettings,
+    pairs: PairSettings,
+    context: RecipeContext,
+) -> CachedStage:
+    """Return the stage sfm, with the poses in ``SCENE``, by one or two steps or with the lens as it is known."""
+    scene = matched.data.scene
+    two = lens.way == "two-step"
+    fixed = {"refine_focal": False, "refine_distortion": False, "refine_principal_point": False}
+    settings = sfm.replace(fixed) if lens.way == "known" else sfm
+
+    def rematch(flat: Scene, database: Path) -> None:
+        chosen = choose_pairs(flat, pairs)
+        seed, progress, device = context.seed, context.progress, context.device
+        extract_features(flat, database, features.chosen_features, seed=seed, progress=progress, device=device)
+        match_features(
+            database, flat, chosen, features.chosen_matching, seed=seed, progress=progress, device=device
+        )
+
+    def poses_into(folder: Path) -> dict[str, Any]:
+        work = folder / "work"
+        if not two:
+            found = incremental_sfm(
+                scene, matched.database, settings, seed=context.seed, progress=context.progress, work_dir=work
+            )
+            write_scene(found.scene, folder / SCENE)
+            return found.to_dict()
+        both = two_step(
+            scene,
+            matched.database,
+            lens.model,
+            sfm,
+            rematch=rematch,
+            folder=folder / "undistorted",
+            seed=context.seed,
+            progress=context.progress,
+            work_dir=work,
+        )
+        if both.two_step is None:
+            raise StageError("The undistorted pictures give no poses", found=both.failure)
+        write_scene(both.two_step.scene, folder / SCENE)
+        return {
+            **both.two_step.sfm.to_dict(),
+            "first_pass": both.one_step.to_dict(),
+            "two_step": dict(both.seconds),
+        }
+
+    return cached_stage(
+        context,
+        "sfm",
+        inputs={
+            "matches": matched.stages[-1].output.key,
+            "lens": lens.to_dict(),
+            **({"features": features.to_dict(), "pairs": pairs.to_dict()} if two else {}),
+        },
+        settings=settings,
+        code=(matching, poses),
+        build=poses_into,
+    )
+
+
+def on_a_circle(
+    matched: Matched, posed: CachedStage, settings: CircularSettings, context: RecipeContext
+) -> CachedStage:
+    """Return the stage circle: tracks joined across the seam where matches are, and all cameras on one circle."""
+
+    def circle_into(folder: Path) -> dict[str, Any]:
+        scene = read_scene(posed.folder / SCENE)
+        # Undistorted pictures have other pixels than those in which the matches were found.
+        matches = seam_matches(scene, matched.database) if len(scene) == len(matched.data.scene) else []
+        joined = seam_tracks(scene, matches)
+        closed = close_circle(joined.scene, settings, seed=context.seed, progress=context.progress)
+        write_scene(closed.scene, folder / SCENE)
+        return {**closed.to_dict(), "seam": joined.to_dict()}
+
+    return cached_stage(
+        context,
+        "circle",
+        inputs={"sfm": posed.output.key, "matches": matched.stages[-1].output.key},
+        settings=settings,
+        code=(poses,),
+        build=circle_into,
+    )
+
+
+def circle_metrics(
+    scene: Scene, reference: Scene | None, sfm: SfmSettings | None, *, turn: float | None = None
+) -> tuple[dict[str, float | None], dict[str, Any]]:
+    """Return ``circle.*``, the measures of a camera's way around an axis, and ``poses.*`` where truth is known.
+
+    Parameters
+    ----------
+    scene:
+        With the poses that were found.
+    reference:
+        With true poses, or None.
+    sfm:
+        Which intrinsics the adjustment found, for the standard deviation of the arc; None leaves that out.
+    turn:
+        Degrees from the first frame to the last one where known, for the closure gap.
+    """
+    metrics, report = measure_poses(scene, reference)
+    reports: dict[str, Any] = {"poses": report}
+    try:
+        fit = fit_circle(scene.centres(), expected_turn=turn)
+    except StageError as error:
+        return metrics, {**reports, "circle": {"reason": str(error)}}
+    metrics |= {
+        "circle.arc_deg": fit.arc_degrees,
+        "circle.radius_spread": fit.radius_spread,
+        "circle.out_of_plane": fit.out_of_plane_rms,
+        "circle.closure_gap": fit.closure_gap,
+    }
+    reports["circle"] = fit.to_dict()
+    if sfm is not None:
+        metrics |= _arc_sigma(scene, sfm, reports)
+    if reference is not None and reference.registered:
+        errors = circle_errors(scene, reference)
+        found = errors.to_dict()
+        metrics |= {
+            "circle.arc_error_deg": errors.arc_deg,
+            "circle.position_error": found["position_rms"],
+            "circle.rotation_error_deg": found["rotation_deg_rms"],
+            "circle.angle_error_deg": found["angle_deg_rms"],
+        }
+        reports["circle_errors"] = found
+    return metrics, reports
+
+
+def _arc_sigma(scene: Scene, sfm: SfmSettings, reports: dict[str, Any]) -> dict[str, float | None]:
+    try:
+        known = arc_sigma(scene, refine_focal=sfm.refine_focal, refine_distortion=sfm.refine_distortion)
+    except StageError as error:
+        reports["arc_sigma"] = {"reason": str(error)}
+        return {}
+    reports["arc_sigma"] = known.to_dict()
+    return {"circle.arc_sigma_deg": known.sigma if sfm.refine_focal else known.sigma_fixed}
