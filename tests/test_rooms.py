@@ -30,7 +30,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "widgets": {"scene", "metrics", "samples", "recipes", "plots", "runs"},
     "cli": {"samples", "capture", "poses", "recipes", "runs", "demo", "widgets"},
     "demo": {"samples", "scene", "recipes", "runs"},
-    "notebook": {"samples", "scene", "plots", "runs"},
+    "notebook": {"samples", "scene", "poses", "plots", "runs"},
 }
 
 # The ground floor knows nobody above it; these are its own inner steps.

@@ -15,6 +15,8 @@ from toolkit.progress import Progress, ProgressEvent, TqdmProgress, silent
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from toolkit.poses.camera_comparison import ModelComparison
+    from toolkit.samples.engine import EngineSettings
     from toolkit.samples.make import SampleSettings
     from toolkit.scene import Scene
 
@@ -55,19 +57,25 @@ class CellProgress:
             self._bar.close()
 
 
-def sample_folder(work: Path, settings: SampleSettings, *, seed: int = 0, progress: Progress = silent) -> Path:
-    """Return the folder of a sample flight below ``work``, making it where it is not there.
+def sample_folder(
+    work: Path, settings: SampleSettings | EngineSettings, *, seed: int = 0, progress: Progress = silent
+) -> Path:
+    """Return the folder of a sample flight or engine below ``work``, making it where it is not there.
 
-    Its name tells the settings apart, so that a changed setting never meets an older flight. Raises as
-    :func:`toolkit.samples.make.make_sample`.
+    Its name tells the settings apart, so that a changed setting never meets an older sample. Raises as
+    :func:`toolkit.samples.make.make_sample` and :func:`toolkit.samples.engine.make_engine`.
     """
     # Open3D, which casts the rays, else writes about a viewer of its own into the cell.
     os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "True")
+    from toolkit.samples.engine import EngineSettings, make_engine
     from toolkit.samples.make import make_sample
     from toolkit.workspace import fingerprint
 
     made_with = {"seed": seed, "settings": settings.to_dict()}
-    folder = work / f"town-{fingerprint(made_with)[:8]}"
+    mark = fingerprint(made_with)[:8]
+    if isinstance(settings, EngineSettings):
+        return make_engine(work / f"engine-{mark}", settings, seed=seed, progress=progress).folder
+    folder = work / f"town-{mark}"
     if not folder.is_dir():
         make_sample(folder, settings, seed=seed, progress=progress)
     return folder
@@ -91,6 +99,22 @@ def poses_figure(found: Mapping[str, Scene], reference: Scene | None) -> go.Figu
     drawn = trajectory_figure(paths, None if aligned.reference is None else aligned.reference.poses)
     drawn.update_layout(title_text="<br>".join(shown(remark) for remark in aligned.remarks), title_font_size=12)
     return drawn.update_layout(margin_t=30 + 16 * len(aligned.remarks))
+
+
+def camera_models_figure(compared: ModelComparison) -> go.Figure:
+    """Draw held-out error and BIC of each camera model that was fitted, and which one was chosen."""
+    from toolkit.plots.camera_models import ModelScore, model_scores_figure
+
+    scores = []
+    for fit in compared.fits:
+        if fit.score is not None:
+            margin = compared.choice.margins[fit.model]
+            error = fit.score.held_out_rms
+            parameters = fit.score.free_parameters
+            scores.append(
+                ModelScore(fit.model, error, margin.held_out_error, margin.bic, margin.bic_error, parameters)
+            )
+    return model_scores_figure(scores, compared.choice.chosen)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from toolkit.matching.match import MatchReport
 from toolkit.matching.pairs import PairSettings, choose_pairs, connected_groups
 from toolkit.metrics.circle import fit_circle
 from toolkit.poses.sfm import SfmResult, incremental_sfm
-from toolkit.recipes.blades import small_step_sfm
+from toolkit.recipes.blades import faint_features, small_step_sfm
 from toolkit.samples.engine import EngineSample, EngineSettings, make_engine
 from toolkit.scene import Scene
 
@@ -54,7 +54,7 @@ def reconstruct(
     scene: Scene, work: Path, pairs: PairSettings, features: FeatureSettings | None = None, *, sfm: bool = True
 ) -> Found:
     """Match a scene and, where asked for, reconstruct it with its lens, which is kept."""
-    chosen = features or FeatureSettings()
+    chosen = features or faint_features()
     database = work / "matches.db"
     work.mkdir(parents=True, exist_ok=True)
     extracted = extract_features(scene, database, chosen.chosen_features)

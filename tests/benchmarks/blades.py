@@ -39,7 +39,7 @@ from toolkit.poses.circular import close_circle
 from toolkit.poses.circular_seam import seam_matches, seam_tracks
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import incremental_sfm
-from toolkit.recipes.blades import small_step_sfm
+from toolkit.recipes.blades import faint_features, small_step_sfm
 from toolkit.samples.engine import EngineSample
 from toolkit.scene import Scene
 
@@ -196,7 +196,7 @@ def _circle_row(name: str, found: Scene, sample: EngineSample, seconds: float) -
 
 
 def methods() -> Iterator[tuple[str, FeatureSettings]]:
-    yield "SIFT", FeatureSettings()
+    yield "SIFT", faint_features()
     for name in ("disk", "aliked"):
         settings = FeatureSettings(method=f"{name}-lightglue")
         yield f"{name.upper()} + LightGlue", settings.replace({f"{name}.max_features": 1024})

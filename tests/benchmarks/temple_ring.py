@@ -1,9 +1,9 @@
 """Measures the real ring of pictures with known cameras: features, pairs, and the closed circle.
 
 ``TOOLKIT_DATA=<folder> python tests/benchmarks/temple_ring.py [--work runs/bench-blades]`` prints the table of
-docs/blades.md for ``turntable_temple_ring`` (Middlebury templeRing, 47 pictures), in the order of the ring, not of
-the names. Sixteen pictures are upside down: they are turned, for learned features are not invariant to that, and have
-a camera of their own. Lenses are found with the poses.
+docs/blades.md for ``turntable_temple_ring`` (Middlebury templeRing, 47 pictures), in the order of the ring,
+not of the names. Sixteen pictures are upside down: they are turned, for learned features are not invariant to that, and have a
+camera of their own. Lenses are found with the poses.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from PIL import Image
 from toolkit.errors import StageError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.matching.feature_choice import FeatureSettings, extract_features, match_features
+from toolkit.matching.feature_choice import extract_features, match_features
 from toolkit.matching.match import MatchReport
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.metrics.circle import fit_circle
@@ -30,6 +30,7 @@ from toolkit.poses.circular import close_circle
 from toolkit.poses.circular_seam import seam_matches, seam_tracks
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.recipes.blades import faint_features
 from toolkit.samples.registry import locate
 from toolkit.scene import Scene
 from toolkit.scene.dataset import open_capture
@@ -82,8 +83,8 @@ def measure(work: Path) -> None:
     closed = PairSettings(method="sequential", overlap=3, quadratic=False, closed=True)
     ways = [(name, features, closed) for name, features in methods()]
     ways += [
-        ("SIFT, not closed", FeatureSettings(), closed.replace({"closed": False})),
-        ("SIFT, exhaustive", FeatureSettings(), PairSettings(method="exhaustive")),
+        ("SIFT, not closed", faint_features(), closed.replace({"closed": False})),
+        ("SIFT, exhaustive", faint_features(), PairSettings(method="exhaustive")),
     ]
     settings = SfmSettings(init_min_inliers=50, refine_principal_point=False)
     for name, features, pairs in ways:

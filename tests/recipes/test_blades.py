@@ -117,7 +117,7 @@ def test_all_cameras_come_onto_one_circle(
     # The slack is 0.2 % of the radius.
     assert after < 0.01
     assert after < before
-    assert result.metrics["circle.adjusted_arc_sigma_deg"] > 0
+    assert result.metrics["circle.arc_sigma_deg"] > 0
     assert result.reports["circle_errors"]["frames"] == 40
 
 

@@ -31,6 +31,11 @@ from toolkit.settings import Boolean, Group, Settings
 WINDOW = 15
 
 
+def faint_features() -> FeatureSettings:
+    """Return settings of features for surfaces with little texture."""
+    return FeatureSettings().replace({"sift.peak_threshold": 0.003})
+
+
 def small_step_sfm() -> SfmSettings:
     """Return settings of structure from motion for frames a small turn apart that show few features."""
     return SfmSettings(init_min_angle=2.0, init_min_inliers=40, min_inliers=12)
@@ -41,7 +46,7 @@ class BladesExhaustiveSettings(Settings):
 
     masks = Group(MaskSettings(), doc="What does not turn with the blades")
     lens = Group(LensSettings(), doc="What is known of the lens")
-    features = Group(FeatureSettings(), doc="Features and how they are matched")
+    features = Group(faint_features(), doc="Features and how they are matched")
     pairs = Group(PairSettings(method="exhaustive"), doc="Which frames are matched with which")
     check_pairs = Boolean(False, doc="Drop pairs that contradict the sequence before poses are found.")
     wrong = Group(WrongPairSettings(), doc="Which pairs contradict it, with check_pairs")
@@ -77,9 +82,9 @@ def run_circular(data: RecipeInput, settings: BladesCircularSettings, context: R
     """Find poses, then adjust all cameras on one circle about one axis."""
     stages, matched, posed = _sfm(data, settings, context)
     closed = on_a_circle(matched, posed, settings.circle, context)
-    before, _ = circle_metrics(read_scene(posed.folder / SCENE), data.reference, None)
+    before, _ = circle_metrics(read_scene(posed.folder / SCENE), data.reference)
     metrics: dict[str, float | None] = {
-        "circle.adjusted_arc_sigma_deg": closed.report["arc_sigma"],
+        "circle.arc_sigma_deg": closed.report["arc_sigma"],
         "circle.seam_gap": closed.report["closure_gap"],
         **{f"before.{name}": value for name, value in before.items() if name.startswith("circle.")},
     }
@@ -108,14 +113,9 @@ def _result(
     scene = read_scene(stages[-1].folder / SCENE)
     by_name = {stage.time.name: stage for stage in stages}
     sfm = by_name["sfm"].report
-    # After the adjustment on the circle its own sigma holds; with a lens that was kept, the one without it.
-    kept = settings.lens.way != "one-step"
-    open_arc = (
-        None
-        if "circle" in by_name
-        else settings.sfm.replace({"refine_focal": not kept, "refine_distortion": not kept})
-    )
-    measured, reports = circle_metrics(scene, data.reference, open_arc)
+    measured, reports = circle_metrics(scene, data.reference)
+    if "circle" not in by_name:  # the adjustment on the circle has a sigma of its own
+        measured["circle.arc_sigma_deg"] = sfm["arc"]["sigma"]
     metrics: dict[str, float | None] = {**sfm_metrics(scene, sfm), **measured, **more}
     if "pairs" in by_name:
         metrics["pairs.dropped"] = float(by_name["pairs"].report["dropped"])

@@ -22,7 +22,7 @@ from toolkit.poses.circular import close_circle
 from toolkit.poses.circular_seam import seam_matches, seam_tracks
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
-from toolkit.poses.two_step import two_step
+from toolkit.poses.two_step import PassResult, one_step, two_step
 from toolkit.progress import track
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.cached import CachedStage, cached_stage
@@ -119,14 +119,24 @@ def masked_capture(
 
 
 def start_capture(data: RecipeInput, lens: LensSettings) -> RecipeInput:
-    """Return the capture with the cameras that the lens settings begin from, under a fingerprint of its own."""
+    """Return the capture as it is matched: with its own cameras where they are known, else with plain ones.
+
+    Pairs of cameras without distortion and without a measured focal length are verified by fundamental matrices.
+    """
     if lens.way == "known":
         return data
     scene = data.scene
-    width = max(camera.width for camera in scene.cameras.values())
-    cameras = plain_cameras(scene, lens.model, lens.start_focal * width)
-    told = f"{data.fingerprint}-{lens.model}-{lens.start_focal:g}"
-    return dataclasses.replace(data, scene=with_cameras(scene, cameras), fingerprint=told)
+    bare = {
+        number: dataclasses.replace(camera, prior_focal_length=False)
+        for number, camera in plain_cameras(scene, "SIMPLE_RADIAL", lens.start_focal * scene_width(scene)).items()
+    }
+    told = f"{data.fingerprint}-unknown-{lens.start_focal:g}"
+    return dataclasses.replace(data, scene=with_cameras(scene, bare), fingerprint=told)
+
+
+def scene_width(scene: Scene) -> int:
+    """Return the width of the widest picture in pixels."""
+    return max(camera.width for camera in scene.cameras.values())
 
 
 def match_frames(
@@ -182,13 +192,15 @@ def find_poses(
         )
 
     def poses_into(folder: Path) -> dict[str, Any]:
-        work = folder / "work"
-        if not two:
-            found = incremental_sfm(
-                scene, matched.database, settings, seed=context.seed, progress=context.progress, work_dir=work
-            )
+        seed, progress, work = context.seed, context.progress, folder / "work"
+        if lens.way == "known":
+            found = incremental_sfm(scene, matched.database, settings, seed=seed, progress=progress, work_dir=work)
             write_scene(found.scene, folder / SCENE)
-            return found.to_dict()
+            return {**found.to_dict(), "arc": _known_arc(found.scene)}
+        if lens.way == "one-step":
+            one = one_step(scene, matched.database, lens.model, sfm, seed=seed, progress=progress, work_dir=work)
+            write_scene(one.scene, folder / SCENE)
+            return {**one.sfm.to_dict(), "arc": _arc(one, None if one.arc is None else one.arc.sigma)}
         both = two_step(
             scene,
             matched.database,
@@ -196,8 +208,8 @@ def find_poses(
             sfm,
             rematch=rematch,
             folder=folder / "undistorted",
-            seed=context.seed,
-            progress=context.progress,
+            seed=seed,
+            progress=progress,
             work_dir=work,
         )
         if both.two_step is None:
@@ -205,6 +217,7 @@ def find_poses(
         write_scene(both.two_step.scene, folder / SCENE)
         return {
             **both.two_step.sfm.to_dict(),
+            "arc": _arc(both.two_step, both.sigma),
             "first_pass": both.one_step.to_dict(),
             "two_step": dict(both.seconds),
         }
@@ -221,6 +234,18 @@ def find_poses(
         code=(matching, poses),
         build=poses_into,
     )
+
+
+def _known_arc(scene: Scene) -> dict[str, Any]:
+    try:
+        sigma = arc_sigma(scene, refine_focal=False, refine_distortion=False).sigma_fixed
+    except StageError as error:
+        return {"sigma": None, "reason": str(error)}
+    return {"sigma": sigma, "reason": ""}
+
+
+def _arc(found: PassResult, sigma: float | None) -> dict[str, Any]:
+    return {"sigma": sigma, "reason": found.arc_failure}
 
 
 def on_a_circle(
@@ -248,7 +273,7 @@ def on_a_circle(
 
 
 def circle_metrics(
-    scene: Scene, reference: Scene | None, sfm: SfmSettings | None, *, turn: float | None = None
+    scene: Scene, reference: Scene | None, *, turn: float | None = None
 ) -> tuple[dict[str, float | None], dict[str, Any]]:
     """Return ``circle.*``, the measures of a camera's way around an axis, and ``poses.*`` where truth is known.
 
@@ -258,8 +283,6 @@ def circle_metrics(
         With the poses that were found.
     reference:
         With true poses, or None.
-    sfm:
-        Which intrinsics the adjustment found, for the standard deviation of the arc; None leaves that out.
     turn:
         Degrees from the first frame to the last one where known, for the closure gap.
     """
@@ -276,8 +299,6 @@ def circle_metrics(
         "circle.closure_gap": fit.closure_gap,
     }
     reports["circle"] = fit.to_dict()
-    if sfm is not None:
-        metrics |= _arc_sigma(scene, sfm, reports)
     if reference is not None and reference.registered:
         errors = circle_errors(scene, reference)
         found = errors.to_dict()
@@ -289,13 +310,3 @@ def circle_metrics(
         }
         reports["circle_errors"] = found
     return metrics, reports
-
-
-def _arc_sigma(scene: Scene, sfm: SfmSettings, reports: dict[str, Any]) -> dict[str, float | None]:
-    try:
-        known = arc_sigma(scene, refine_focal=sfm.refine_focal, refine_distortion=sfm.refine_distortion)
-    except StageError as error:
-        reports["arc_sigma"] = {"reason": str(error)}
-        return {}
-    reports["arc_sigma"] = known.to_dict()
-    return {"circle.arc_sigma_deg": known.sigma if sfm.refine_focal else known.sigma_fixed}
