@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,18 @@ from hypothesis import settings
 # A busy machine is no failure: no deadline for a single example.
 settings.register_profile("toolkit", deadline=None)
 settings.load_profile("toolkit")
+
+
+#: Bytes that must be free where tests put their files: half of it was used at most.
+ROOM = 2 * 10**9
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """End at once where the disk is nearly full: hundreds of failures would hide the one reason."""
+    folder = tempfile.gettempdir()
+    free = shutil.disk_usage(folder).free
+    if free < ROOM:
+        pytest.exit(f"The tests need {ROOM / 1e9:g} GB in {folder}, and {free / 1e9:.1f} GB are free", returncode=3)
 
 
 @pytest.fixture

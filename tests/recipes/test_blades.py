@@ -34,7 +34,7 @@ FOOTAGE = {
     "points": 300,
 }
 # Two frames are six of the fifteen degrees of a blade: below half of it.
-NEAR = {"pairs.overlap": 2, "features.sift.max_features": 1500}
+NEAR = {"pairs.overlap": 2, "features.sift.max_features": 700}
 KNOWN = {"lens.way": "known", **NEAR}
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -40,7 +42,8 @@ def test_the_slider_draws_anew() -> None:
 
     assert "0 wrong" in view.figure.layout.title.text
     assert drawn_pairs(view.figure) == 30
-    assert "application/vnd.plotly.v1+json" in view._repr_mimebundle_()
+    shown = view._repr_mimebundle_()["application/vnd.plotly.v1+json"]
+    json.dumps(shown, allow_nan=False)
 
 
 def test_a_window_of_nothing_is_refused() -> None:

@@ -132,7 +132,8 @@ def _fits(
         try:
             fits.append((label, fit_circle(scene.centres(), expected_turn=expected_turn), shade))
         except StageError as error:
-            remarks.append(f"{label}: {error}")
+            # What was expected and found would not fit on a line.
+            remarks.append(f"{label}: {str(error).partition(';')[0]}")
     return fits, remarks
 
 

@@ -15,7 +15,6 @@ from toolkit.recipes.blades_stages import (
     LensSettings,
     MaskSettings,
     Matched,
-    circle_metrics,
     find_poses,
     masked_capture,
     match_frames,
@@ -23,6 +22,7 @@ from toolkit.recipes.blades_stages import (
     start_capture,
 )
 from toolkit.recipes.cached import CachedStage
+from toolkit.recipes.circle_metrics import circle_metrics
 from toolkit.recipes.steps import SCENE, sfm_metrics
 from toolkit.scene.folder import read_scene
 from toolkit.settings import Boolean, Group, Settings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,10 @@ from toolkit.capture.mask_files import with_mask
 from toolkit.capture.static_mask import StaticMaskSettings, find_static_mask
 from toolkit.capture.temporal import TemporalSettings, sampled_numbers, temporal_statistics
 from toolkit.errors import StageError
+from toolkit.geometry.cameras import ColmapCamera
 from toolkit.matching.feature_choice import FeatureSettings, extract_features, match_features
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.matching.wrong_pairs import WrongPairSettings, drop_pairs, find_wrong_pairs
-from toolkit.metrics.circle import circle_errors, fit_circle
 from toolkit.poses.arc_sigma import arc_sigma
 from toolkit.poses.camera_start import plain_cameras, with_cameras
 from toolkit.poses.circular import close_circle
@@ -26,9 +27,9 @@ from toolkit.poses.two_step import PassResult, one_step, two_step
 from toolkit.progress import track
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.cached import CachedStage, cached_stage
-from toolkit.recipes.measure import measure_poses
 from toolkit.recipes.steps import DATABASE, SCENE, features_and_matches
 from toolkit.scene import Scene
+from toolkit.scene.colmap import colmap_camera
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.scene.pictures import load_grey
 from toolkit.settings import Boolean, Choice, Group, Number, Settings
@@ -126,17 +127,15 @@ def start_capture(data: RecipeInput, lens: LensSettings) -> RecipeInput:
     if lens.way == "known":
         return data
     scene = data.scene
-    bare = {
-        number: dataclasses.replace(camera, prior_focal_length=False)
-        for number, camera in plain_cameras(scene, "SIMPLE_RADIAL", lens.start_focal * scene_width(scene)).items()
-    }
+    width = max(camera.width for camera in scene.cameras.values())
+    bare = plain_cameras(scene, "SIMPLE_RADIAL", lens.start_focal * width)
     told = f"{data.fingerprint}-unknown-{lens.start_focal:g}"
-    return dataclasses.replace(data, scene=with_cameras(scene, bare), fingerprint=told)
+    return dataclasses.replace(data, scene=with_cameras(scene, _as_measured(bare, False)), fingerprint=told)
 
 
-def scene_width(scene: Scene) -> int:
-    """Return the width of the widest picture in pixels."""
-    return max(camera.width for camera in scene.cameras.values())
+def _as_measured(cameras: Mapping[int, ColmapCamera], measured: bool) -> dict[int, ColmapCamera]:
+    """Return cameras whose focal length counts as measured, or not."""
+    return {number: dataclasses.replace(each, prior_focal_length=measured) for number, each in cameras.items()}
 
 
 def match_frames(
@@ -179,6 +178,10 @@ def find_poses(
 ) -> CachedStage:
     """Return the stage sfm, with the poses in ``SCENE``, by one or two steps or with the lens as it is known."""
     scene = matched.data.scene
+    if lens.way != "known":
+        # It is refined all the same. Frames a small turn apart do not tell it, and the mapper would not begin.
+        started = {number: colmap_camera(scene, number) for number in scene.cameras}
+        scene = with_cameras(scene, _as_measured(started, True))
     two = lens.way == "two-step"
     fixed = {"refine_focal": False, "refine_distortion": False, "refine_principal_point": False}
     settings = sfm.replace(fixed) if lens.way == "known" else sfm
@@ -270,43 +273,3 @@ def on_a_circle(
         code=(poses,),
         build=circle_into,
     )
-
-
-def circle_metrics(
-    scene: Scene, reference: Scene | None, *, turn: float | None = None
-) -> tuple[dict[str, float | None], dict[str, Any]]:
-    """Return ``circle.*``, the measures of a camera's way around an axis, and ``poses.*`` where truth is known.
-
-    Parameters
-    ----------
-    scene:
-        With the poses that were found.
-    reference:
-        With true poses, or None.
-    turn:
-        Degrees from the first frame to the last one where known, for the closure gap.
-    """
-    metrics, report = measure_poses(scene, reference)
-    reports: dict[str, Any] = {"poses": report}
-    try:
-        fit = fit_circle(scene.centres(), expected_turn=turn)
-    except StageError as error:
-        return metrics, {**reports, "circle": {"reason": str(error)}}
-    metrics |= {
-        "circle.arc_deg": fit.arc_degrees,
-        "circle.radius_spread": fit.radius_spread,
-        "circle.out_of_plane": fit.out_of_plane_rms,
-        "circle.closure_gap": fit.closure_gap,
-    }
-    reports["circle"] = fit.to_dict()
-    if reference is not None and reference.registered:
-        errors = circle_errors(scene, reference)
-        found = errors.to_dict()
-        metrics |= {
-            "circle.arc_error_deg": errors.arc_deg,
-            "circle.position_error": found["position_rms"],
-            "circle.rotation_error_deg": found["rotation_deg_rms"],
-            "circle.angle_error_deg": found["angle_deg_rms"],
-        }
-        reports["circle_errors"] = found
-    return metrics, reports

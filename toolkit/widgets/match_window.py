@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -98,7 +99,8 @@ class MatchWindowView:
 
     def _repr_mimebundle_(self, **options: Any) -> dict[str, Any]:
         shown: dict[str, Any] = self._box._repr_mimebundle_(**options) or {}
-        return {**shown, _PLOTLY: self.figure.to_plotly_json()}
+        # Pairs that were not matched are NaN, which JSON does not know: Plotly writes them as null.
+        return {**shown, _PLOTLY: json.loads(self.figure.to_json())}
 
 
 def match_window_view(
