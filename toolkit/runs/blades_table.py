@@ -85,9 +85,9 @@ class ArcTable:
             "LightGlue: its arcs are to be read beside that, not beside ours.",
             "The second pass of undistorted rows has the fixed PINHOLE of the undistorted pictures; the paper "
             "refines a camera model again there.",
-            "+- is one standard deviation from the covariance of the bundle adjustment, of independent residuals, with "
-            "the intrinsics among the unknowns; in undistorted rows with the lens as uncertain as the first pass left "
-            "it. What residuals have in common comes on top.",
+            "+- is one standard deviation from the covariance of the bundle adjustment, of independent residuals, "
+            "with the intrinsics among the unknowns; in undistorted rows with the lens as uncertain as the first "
+            "pass left it. What residuals have in common comes on top.",
             "Without a lens that is known the start focal length is that of the capture's camera.",
         ]
 
