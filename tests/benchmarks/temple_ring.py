@@ -1,9 +1,9 @@
 """Measures the real ring of pictures with known cameras: features, pairs, and the closed circle.
 
 ``TOOLKIT_DATA=<folder> python tests/benchmarks/temple_ring.py [--work runs/bench-blades]`` prints a table for
-``turntable_temple_ring`` (Middlebury templeRing, 47 pictures), in the order of the ring, not of the names. Sixteen
-pictures are upside down: they are turned, for learned features are not invariant to that, and have a camera of their
-own. Lenses are found with the poses.
+``turntable_temple_ring`` (Middlebury templeRing, 47 pictures), in the order of the ring, not of the names.
+Sixteen pictures are upside down: they are turned, for learned features are not invariant to that, and have a camera
+of their own. Lenses are found with the poses.
 """
 
 from __future__ import annotations
