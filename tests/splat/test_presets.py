@@ -52,7 +52,14 @@ def test_a_draft_densifies_on_pictures_of_half_and_of_full_size() -> None:
     assert {schedule.shrink_at(step) for step in rounds} == {2, 1}
 
 
-@pytest.mark.parametrize("recipe", all_recipes().values(), ids=lambda recipe: recipe.name)
+TRAINING = [recipe for recipe in all_recipes().values() if not recipe.name.startswith("blades-")]
+
+
+def test_only_recipes_that_train_take_presets() -> None:
+    assert [recipe for recipe in all_recipes().values() if recipe_presets(recipe)] == TRAINING
+
+
+@pytest.mark.parametrize("recipe", TRAINING, ids=lambda recipe: recipe.name)
 def test_recipes_take_presets_and_show_them(recipe) -> None:
     default = recipe.settings_type()
     presets = recipe_presets(recipe)
