@@ -15,7 +15,7 @@ from toolkit.capture.mask_files import with_mask
 from toolkit.errors import StageError, ToolkitError
 from toolkit.matching.feature_choice import FeatureSettings, extract_features, match_features
 from toolkit.matching.match import MatchReport
-from toolkit.matching.pairs import PairSettings, choose_pairs, connected_groups
+from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.metrics.circle import fit_circle
 from toolkit.poses.sfm import SfmResult, incremental_sfm
 from toolkit.recipes.blades import faint_features, small_step_sfm
@@ -98,14 +98,11 @@ def blades_apart(sample: EngineSample, scene: Scene) -> tuple[int, int]:
         truth[points.tracks.point[first[rows]]] = surface.points
     kept = [b for b in np.unique(blade) if b >= 0 and (blade == b).sum() >= 10]
     found, true = ([_middle(xyz[blade == b]) for b in kept] for xyz in (points.xyz, truth))
-    joined = [
-        (a, b)
+    alone = [
+        all(_apart(found[a], found[b]) >= 0.5 * _apart(true[a], true[b]) for b in range(len(kept)) if b != a)
         for a in range(len(kept))
-        for b in range(a + 1, len(kept))
-        if _apart(found[a], found[b]) < 0.5 * _apart(true[a], true[b])
     ]
-    groups = connected_groups(len(kept), np.array(joined, dtype=np.int64).reshape(-1, 2))
-    return len(groups), len(kept)
+    return sum(alone), len(kept)
 
 
 def _middle(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

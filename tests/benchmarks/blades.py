@@ -4,9 +4,9 @@
 tables of docs/blades.md, all of them where none is named. The footage is made once and kept in ``--work``.
 ``toolkit table blades-camera-models`` makes that of camera models, ``temple_ring.py`` that of real pictures.
 
-Truth: a verified pair is wrong where fewer than half of its inliers show the same place of the same blade. Blades
-stand apart where the middles of their points are at least half as far from each other, measured in the size of a
-blade's own points, as they are in truth; how many do is the number of groups when all others are joined.
+Truth: a verified pair is wrong where fewer than half of its inliers show the same place of the same blade. A blade
+stands apart where the middle of its points is at least half as far from that of every other blade, measured in the
+size of a blade's own points, as it is in truth.
 """
 
 from __future__ import annotations
