@@ -15,7 +15,7 @@ settings.register_profile("toolkit", deadline=None)
 settings.load_profile("toolkit")
 
 
-#: Bytes that must be free where tests put their files: half of it was used at most.
+#: Bytes that must be free where tests put their files.
 ROOM = 2 * 10**9
 
 

@@ -17,8 +17,11 @@ from toolkit.matching.feature_choice import FeatureSettings, extract_features, m
 from toolkit.matching.match import MatchReport
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.metrics.circle import fit_circle
+from toolkit.poses.camera_start import counted_as_measured, plain_cameras, with_cameras
 from toolkit.poses.sfm import SfmResult, incremental_sfm
+from toolkit.poses.two_step import one_step
 from toolkit.recipes.blades import faint_features, small_step_sfm
+from toolkit.runs.blades_table import START_FOCAL
 from toolkit.samples.engine import EngineSample, EngineSettings, make_engine
 from toolkit.scene import Scene
 
@@ -48,6 +51,18 @@ def masked(sample: EngineSample, work: Path) -> Scene:
     """Return the footage without poses, with the true mask of what does not turn."""
     folder = work / f"masks-{sample.folder.name}"
     return with_mask(sample.scene.without_poses(), sample.static_mask, folder)
+
+
+def unknown_lens(scene: Scene) -> Scene:
+    """Return the scene with a camera that is a guess: 0.8 widths, undistorted (the true one has 0.64 widths)."""
+    width = max(camera.width for camera in scene.cameras.values())
+    plain = plain_cameras(scene, "SIMPLE_RADIAL", START_FOCAL * width)
+    return with_cameras(scene, counted_as_measured(plain, False))
+
+
+def with_lens_found(scene: Scene, database: Path, work: Path) -> Scene:
+    """Reconstruct with an OPENCV_FISHEYE that is found with the poses and starts undistorted."""
+    return one_step(scene, database, "OPENCV_FISHEYE", small_step_sfm(), work_dir=work).scene
 
 
 def reconstruct(

@@ -28,6 +28,8 @@ from blade_footage import (
     reconstruct,
     row,
     told,
+    unknown_lens,
+    with_lens_found,
     wrong_pairs,
 )
 
@@ -126,9 +128,9 @@ def measure_segments(work: Path) -> None:
         for start in (0.0, 120.0, 240.0):
             sample = engine(work, frames=246, stride=4, start=start, shake=shake)
             pairs = PairSettings(method="sequential", overlap=sample.window, quadratic=False)
-            scene = masked(sample, work)
+            scene = unknown_lens(masked(sample, work))
             database = reconstruct(scene, work / "segment", pairs, sfm=False).database
-            found = incremental_sfm(scene, database, small_step_sfm(), work_dir=work / "segment").scene
+            found = with_lens_found(scene, database, work / "segment")
             fit = fit_circle(found.centres())
             row(
                 f"{shake:g}",
@@ -158,7 +160,7 @@ def size_drift(found: Scene, truth: Scene) -> float:
 def measure_circle(work: Path) -> None:
     """A whole turn with shake: as it drifts, and closed with and without matches across the seam."""
     sample = engine(work, frames=720, stride=5)
-    scene = masked(sample, work)
+    scene = unknown_lens(masked(sample, work))
     head(
         f"A whole turn, {len(scene)} frames, shake 0.2 %, intrinsics free",
         *("", "placed", "turn (deg)", "gap (% of circumference)", "position (% of radius)"),
@@ -169,7 +171,7 @@ def measure_circle(work: Path) -> None:
         pairs = PairSettings(method="sequential", overlap=window, quadratic=False, closed=closed)
         database = reconstruct(scene, work / f"circle-{closed}", pairs, sfm=False).database
         start = time.perf_counter()
-        found = incremental_sfm(scene, database, small_step_sfm(), work_dir=work / "circle").scene
+        found = with_lens_found(scene, database, work / "circle")
         name = "matches across the seam" if closed else "matches across the seam withheld"
         _circle_row(f"sfm, {name}", found, sample, time.perf_counter() - start)
         start = time.perf_counter()

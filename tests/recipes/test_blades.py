@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from toolkit.errors import StageError
+from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import silent
 from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult
 from toolkit.recipes.blades import (
@@ -19,6 +20,7 @@ from toolkit.recipes.blades import (
     run,
     run_circular,
 )
+from toolkit.recipes.blades_stages import LensSettings, start_capture
 from toolkit.recipes.registry import find_recipe
 from toolkit.samples.engine import EngineSample, EngineSettings, make_engine
 from toolkit.scene.dataset import capture_fingerprint, open_capture
@@ -128,6 +130,15 @@ def test_two_steps_end_with_a_fixed_pinhole(data: RecipeInput, context: RecipeCo
     assert {camera.model for camera in result.scene.cameras.values()} == {"PINHOLE"}
     assert result.reports["sfm"]["first_pass"]["model"] == "SIMPLE_RADIAL"
     assert set(result.reports["sfm"]["two_step"]) == {"undistort", "match"}
+    # The pictures are where the scene says, although the stage's folder got its name afterwards.
+    assert all(result.scene.image_path(frame).is_file() for frame in result.scene.frames)
+
+
+def test_a_lens_that_is_not_known_starts_from_nothing_of_the_captures_own(data: RecipeInput) -> None:
+    started = start_capture(data, LensSettings(start_focal=0.8)).scene.camera_of(data.scene.frames[0])
+
+    assert started == ColmapCamera("SIMPLE_RADIAL", 240, 180, (0.8 * 240, 120.0, 90.0, 0.0), False)
+    assert start_capture(data, LensSettings(way="known")) is data
 
 
 def test_too_few_frames_are_told(data: RecipeInput, context: RecipeContext) -> None:

@@ -56,7 +56,8 @@ class CameraModelSettings(Settings):
         0.0,
         bounds=(0.0, 1e6),
         unit="px",
-        doc="Focal length that every model starts from; 0: the mean one of the scene's cameras.",
+        doc="Focal length that every model starts from, with the principal point in the picture's middle; 0: those "
+        "of the scene's cameras.",
     )
     held_out = Number(0.5, bounds=(0.01, 1.0), doc="Part of the judging tracks that lose one observation.")
     min_track_length = Integer(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
@@ -30,11 +31,12 @@ def plain_cameras(scene: Scene, model: str, focal: float) -> dict[int, ColmapCam
     Parameters
     ----------
     scene:
-        Its cameras give the size and the principal point.
+        Its cameras give the size and, without ``focal``, focal length and principal point.
     model:
         COLMAP's name.
     focal:
-        Focal length in pixels; 0: the mean one of each camera.
+        Focal length in pixels, with the principal point in the middle of the picture: nothing of the scene's lenses
+        is used then. 0: the mean focal length and the principal point of each camera.
 
     Raises
     ------
@@ -45,14 +47,24 @@ def plain_cameras(scene: Scene, model: str, focal: float) -> dict[int, ColmapCam
     for camera_id in sorted({frame.camera_id for frame in scene.frames}):
         camera = colmap_camera(scene, camera_id)
         known = camera.to_pycolmap()
+        start = (known.mean_focal_length(), known.principal_point_x, known.principal_point_y)
         bare[camera_id] = ColmapCamera(
             "SIMPLE_PINHOLE",
             camera.width,
             camera.height,
-            (focal or known.mean_focal_length(), known.principal_point_x, known.principal_point_y),
+            (focal, camera.width / 2, camera.height / 2) if focal else start,
             camera.prior_focal_length or "FISHEYE" in model,
         )
     return start_cameras(scene.replace(cameras=bare), model)
+
+
+def counted_as_measured(cameras: Mapping[int, ColmapCamera], measured: bool) -> dict[int, ColmapCamera]:
+    """Return cameras whose focal length counts as measured, or not.
+
+    Pairs of pictures whose focal lengths are not measured are verified by fundamental matrices, which favour no
+    lens.
+    """
+    return {number: dataclasses.replace(each, prior_focal_length=measured) for number, each in cameras.items()}
 
 
 def nearest_camera(camera: ColmapCamera, model: str) -> ColmapCamera:

@@ -29,6 +29,8 @@ from toolkit.progress import Progress, silent
 from toolkit.scene import Scene
 from toolkit.scene.colmap import colmap_camera
 
+#: The database of the undistorted pictures, in their folder.
+MATCHES = "matches.db"
 #: Finds features and verified matches of a scene's pictures and writes them into a new database at the path.
 Rematch = Callable[[Scene, Path], None]
 
@@ -151,7 +153,7 @@ def one_step(
     settings:
         Of the reconstruction; focal length and distortion must be refined.
     start_focal:
-        In pixels; 0: that of the scene's cameras.
+        In pixels, with the principal point in the picture's middle; 0: those of the scene's cameras.
     seed:
         Of every random choice.
     progress:
@@ -221,7 +223,7 @@ def two_step(
     start = time.perf_counter()
     flat = _known_cameras(undistort(first.scene, folder, progress=progress))
     undistorted = time.perf_counter()
-    again = folder / "matches.db"
+    again = folder / MATCHES
     try:
         rematch(flat.without_poses(), again)
         matched = time.perf_counter()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,17 +12,17 @@ from toolkit.capture.mask_files import with_mask
 from toolkit.capture.static_mask import StaticMaskSettings, find_static_mask
 from toolkit.capture.temporal import TemporalSettings, sampled_numbers, temporal_statistics
 from toolkit.errors import StageError
-from toolkit.geometry.cameras import ColmapCamera
 from toolkit.matching.feature_choice import FeatureSettings, extract_features, match_features
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.matching.wrong_pairs import WrongPairSettings, drop_pairs, find_wrong_pairs
 from toolkit.poses.arc_sigma import arc_sigma
-from toolkit.poses.camera_start import plain_cameras, with_cameras
+from toolkit.poses.camera_models import MODELS
+from toolkit.poses.camera_start import counted_as_measured, plain_cameras, with_cameras
 from toolkit.poses.circular import close_circle
 from toolkit.poses.circular_seam import seam_matches, seam_tracks
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
-from toolkit.poses.two_step import PassResult, one_step, two_step
+from toolkit.poses.two_step import MATCHES, PassResult, one_step, two_step
 from toolkit.progress import track
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.cached import CachedStage, cached_stage
@@ -33,20 +32,6 @@ from toolkit.scene.colmap import colmap_camera
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.scene.pictures import load_grey
 from toolkit.settings import Boolean, Choice, Group, Number, Settings
-
-#: Models that structure from motion can find without knowing the lens.
-MODELS = (
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "FULL_OPENCV",
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-    "OPENCV_FISHEYE",
-    "FOV",
-    "SIMPLE_DIVISION",
-    "DIVISION",
-)
 
 
 class LensSettings(Settings):
@@ -63,7 +48,8 @@ class LensSettings(Settings):
         0.0,
         bounds=(0.0, 10.0),
         unit="widths",
-        doc="Focal length to start from, in widths of the picture; 0: that of the capture's cameras.",
+        doc="Focal length to start from, in widths of the picture, with the principal point in its middle; 0: what "
+        "the capture's cameras say.",
     )
 
 
@@ -120,22 +106,14 @@ def masked_capture(
 
 
 def start_capture(data: RecipeInput, lens: LensSettings) -> RecipeInput:
-    """Return the capture as it is matched: with its own cameras where they are known, else with plain ones.
-
-    Pairs of cameras without distortion and without a measured focal length are verified by fundamental matrices.
-    """
+    """Return the capture as it is matched: with its own cameras where they are known, else with plain ones."""
     if lens.way == "known":
         return data
     scene = data.scene
     width = max(camera.width for camera in scene.cameras.values())
     bare = plain_cameras(scene, "SIMPLE_RADIAL", lens.start_focal * width)
     told = f"{data.fingerprint}-unknown-{lens.start_focal:g}"
-    return dataclasses.replace(data, scene=with_cameras(scene, _as_measured(bare, False)), fingerprint=told)
-
-
-def _as_measured(cameras: Mapping[int, ColmapCamera], measured: bool) -> dict[int, ColmapCamera]:
-    """Return cameras whose focal length counts as measured, or not."""
-    return {number: dataclasses.replace(each, prior_focal_length=measured) for number, each in cameras.items()}
+    return dataclasses.replace(data, scene=with_cameras(scene, counted_as_measured(bare, False)), fingerprint=told)
 
 
 def match_frames(
@@ -181,7 +159,7 @@ def find_poses(
     if lens.way != "known":
         # It is refined all the same. Frames a small turn apart do not tell it, and the mapper would not begin.
         started = {number: colmap_camera(scene, number) for number in scene.cameras}
-        scene = with_cameras(scene, _as_measured(started, True))
+        scene = with_cameras(scene, counted_as_measured(started, True))
     two = lens.way == "two-step"
     fixed = {"refine_focal": False, "refine_distortion": False, "refine_principal_point": False}
     settings = sfm.replace(fixed) if lens.way == "known" else sfm
@@ -210,7 +188,8 @@ def find_poses(
             lens.model,
             sfm,
             rematch=rematch,
-            folder=folder / "undistorted",
+            # The scene's own folder, so that it finds its pictures when the stage's folder is renamed.
+            folder=folder / SCENE,
             seed=seed,
             progress=progress,
             work_dir=work,
@@ -258,9 +237,9 @@ def on_a_circle(
 
     def circle_into(folder: Path) -> dict[str, Any]:
         scene = read_scene(posed.folder / SCENE)
-        # Undistorted pictures have other pixels than those in which the matches were found.
-        matches = seam_matches(scene, matched.database) if len(scene) == len(matched.data.scene) else []
-        joined = seam_tracks(scene, matches)
+        # Of undistorted pictures those that were made from them.
+        again = posed.folder / SCENE / MATCHES
+        joined = seam_tracks(scene, seam_matches(scene, again if again.is_file() else matched.database))
         closed = close_circle(joined.scene, settings, seed=context.seed, progress=context.progress)
         write_scene(closed.scene, folder / SCENE)
         return {**closed.to_dict(), "seam": joined.to_dict()}
