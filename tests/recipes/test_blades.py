@@ -130,6 +130,7 @@ def test_two_steps_end_with_a_fixed_pinhole(data: RecipeInput, context: RecipeCo
     assert {camera.model for camera in result.scene.cameras.values()} == {"PINHOLE"}
     assert result.reports["sfm"]["first_pass"]["model"] == "SIMPLE_RADIAL"
     assert set(result.reports["sfm"]["two_step"]) == {"undistort", "match"}
+    assert result.metrics["sfm.images"] == 40
     # The pictures are where the scene says, although the stage's folder got its name afterwards.
     assert all(result.scene.image_path(frame).is_file() for frame in result.scene.frames)
 

@@ -119,6 +119,8 @@ def _result(
     metrics: dict[str, float | None] = {**sfm_metrics(scene, sfm), **measured, **more}
     if "pairs" in by_name:
         metrics["pairs.dropped"] = float(by_name["pairs"].report["dropped"])
+    # Undistorting leaves frames without a pose behind.
+    metrics["sfm.images"] = float(len(data.scene))
     metrics["pairs.verified"] = float(by_name["matches"].report["pairs_verified"])
     return RecipeResult(
         scene=scene,
