@@ -24,7 +24,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "poses": {"geometry", "scene", "metrics", "matching"},
     "depth": {"geometry", "scene"},
     "splat": {"geometry", "scene", "metrics"},
-    "recipes": {"geometry", "scene", "metrics", "samples", "capture", "matching", "poses", "depth", "splat"},
+    "nerf": {"geometry", "scene", "metrics"},
+    "recipes": {
+        *("geometry", "scene", "metrics", "samples", "capture", "matching", "poses", "depth", "splat", "nerf"),
+    },
     "plots": {"geometry", "scene", "metrics"},
     "runs": {"geometry", "scene", "metrics", "splat", "recipes", "plots"},
     "widgets": {"scene", "metrics", "samples", "recipes", "plots", "runs"},
