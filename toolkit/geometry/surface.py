@@ -92,7 +92,7 @@ class DepthView:
     depth:
         (height, width) float32, the z coordinate in the camera's frame, in scene units; 0 where it is not known.
     normals:
-        (height, width, 3) float32 unit vectors in the camera's frame, facing the camera; 0 where not known; or None.
+        (height, width, 3) float32 unit vectors in the camera's frame, facing it; 0 where not known; or None.
     confidence:
         (height, width) float32 of 0 to 1, or None.
     rgb:
