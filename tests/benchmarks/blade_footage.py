@@ -18,7 +18,8 @@ from toolkit.matching.match import MatchReport
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.metrics.circle import fit_circle
 from toolkit.poses.camera_start import counted_as_measured, plain_cameras, with_cameras
-from toolkit.poses.sfm import SfmResult, incremental_sfm
+from toolkit.poses.sfm import incremental_sfm
+from toolkit.poses.sfm_result import SfmResult
 from toolkit.poses.two_step import one_step
 from toolkit.recipes.blades import faint_features, small_step_sfm
 from toolkit.runs.blades_table import START_FOCAL

@@ -18,7 +18,9 @@ from toolkit.geometry.rigid import RigidTransform
 from toolkit.matching.database import create_database
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.poses.adjust import adjust, residual_noise
-from toolkit.poses.sfm import SfmResult, SfmSettings, incremental_sfm
+from toolkit.poses.camera_start import write_cameras
+from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.poses.sfm_result import SfmResult
 from toolkit.progress import ProgressEvent, silent
 from toolkit.scene import PosePrior, Scene, scene_to_pycolmap
 
@@ -90,6 +92,16 @@ def test_the_report_is_json_and_adds_up(tmp_path: Path) -> None:
     assert camera["after"] == list(result.scene.cameras[camera["camera_id"]].params)
     assert camera["after"] != camera["before"]
     assert set(report["seconds"]) == {"mapping", "adjustment"}
+
+
+def test_a_focal_length_below_the_least_one_throws_the_model_away(tmp_path: Path) -> None:
+    truth, database_path = synthetic_matches(tmp_path, frames=5)
+    scene = truth.replace(cameras={1: ColmapCamera("SIMPLE_RADIAL", 1024, 768, (700.0, 512.0, 384.0, 0.0))})
+    write_cameras(database_path, {1: scene.cameras[1]})
+    assert len(run(scene, database_path, least_focal=0.6).scene.registered) == 5
+    # The start is at 0.68 of the longer side; a bound above it leaves nothing to begin with.
+    with pytest.raises(StageError):
+        run(scene, database_path, least_focal=0.7)
 
 
 def test_the_same_seed_repeats(tmp_path: Path) -> None:

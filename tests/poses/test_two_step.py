@@ -77,6 +77,39 @@ def test_the_one_step_finds_the_lens_and_the_arc(both: tuple[TwoStepResult, list
     assert abs(first.arc.arc_degrees - ARC) < 3 * first.arc.sigma
 
 
+def test_a_lens_of_many_coefficients_begins_with_one_of_two(both: tuple[TwoStepResult, list[Scene], Path]) -> None:
+    (camera,) = both[0].one_step.sfm.cameras
+    # Refined from what RADIAL_FISHEYE had found: not from an undistorted lens.
+    assert camera.model == "OPENCV_FISHEYE"
+    assert any(abs(value) > 1e-3 for value in camera.before[4:])
+    assert "lens" in both[0].one_step.sfm.seconds
+
+
+def test_from_a_guess_it_places_what_the_mapper_alone_loses(tmp_path: Path) -> None:
+    (tmp_path / "truth").mkdir()
+    truth = arc_scene(tmp_path / "truth", FISHEYE, frames=16, arc=12.0)
+    database = arc_database(tmp_path / "matches.db", truth, window=4)
+    made = SfmSettings(init_min_angle=1.0, init_min_inliers=30, threads=1)
+    found = {
+        simple: one_step(
+            truth.without_poses(),
+            database,
+            "OPENCV_FISHEYE",
+            made,
+            start_focal=0.8 * WIDTH,
+            simple_first=simple,
+            work_dir=tmp_path / "work",
+        )
+        for simple in (True, False)
+    }
+    assert len(found[True].scene.registered) == 16
+    truth_focal, focal = FISHEYE.params[0], found[True].sfm.cameras[0].after[0]
+    # Frames within 12 degrees tell it to a twentieth or so; it began 60 % off.
+    assert abs(focal / truth_focal - 1) < 0.15
+    # The mapper begins with the model that is asked for, undistorted.
+    assert found[False].sfm.cameras[0].before == (384.0, 384.0, 240.0, 180.0, 0.0, 0.0, 0.0, 0.0)
+
+
 def test_the_second_pass_keeps_a_pinhole_of_the_undistorted_pictures(
     both: tuple[TwoStepResult, list[Scene], Path],
 ) -> None:

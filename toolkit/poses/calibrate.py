@@ -16,7 +16,8 @@ from toolkit.matching.match import MatchSettings
 from toolkit.poses.adjust import focal_sigma
 from toolkit.poses.camera_profile import CameraProfile
 from toolkit.poses.pipeline import SfmPipelineSettings, sfm
-from toolkit.poses.sfm import SfmResult, SfmSettings
+from toolkit.poses.sfm import SfmSettings
+from toolkit.poses.sfm_result import SfmResult
 from toolkit.progress import Progress, silent
 from toolkit.scene import Scene
 from toolkit.scene.dataset import open_capture

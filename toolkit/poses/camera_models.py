@@ -26,7 +26,8 @@ from toolkit.poses.camera_fits import JudgedFit, fit_all, used_cameras, within
 from toolkit.poses.camera_judge import Judged, explained, free_intrinsics
 from toolkit.poses.camera_start import plain_cameras, with_cameras, write_cameras
 from toolkit.poses.held_out import MatchedTracks, hold_out, matched_tracks, withhold
-from toolkit.poses.sfm import SfmResult, SfmSettings, incremental_sfm
+from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.poses.sfm_result import SfmResult
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
 from toolkit.settings import Boolean, Group, Integer, Number, Settings, Text

@@ -10,7 +10,8 @@ from toolkit.matching.database import copy_database
 from toolkit.matching.features import FeatureReport, SiftSettings, extract_sift
 from toolkit.matching.match import MatchReport, MatchSettings, match_pairs
 from toolkit.matching.pairs import ChosenPairs, PairSettings, choose_pairs
-from toolkit.poses.sfm import SfmResult, SfmSettings, incremental_sfm
+from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.poses.sfm_result import SfmResult
 from toolkit.progress import Progress, silent
 from toolkit.scene import Scene
 from toolkit.settings import Group, Settings

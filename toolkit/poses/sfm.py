@@ -5,11 +5,8 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
-from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import pycolmap
 
@@ -19,6 +16,7 @@ from toolkit.matching.colmap_job import run_colmap
 from toolkit.matching.database import copy_database, require_same_frames
 from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
 from toolkit.poses.sfm_failure import check_matches, no_initial_pair
+from toolkit.poses.sfm_result import SfmResult, sfm_result
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene, scene_from_pycolmap
 from toolkit.settings import Boolean, Integer, Number, Settings
@@ -47,6 +45,13 @@ class SfmSettings(Settings):
     multiple_models = Boolean(
         True, doc="Start again with the pictures that are left over; the largest model is the result."
     )
+    least_focal = Number(
+        0.1,
+        bounds=(0.001, 1.0),
+        unit="longer sides",
+        doc="A model whose focal length falls below this is thrown away, and another one begun. A camera model "
+        "that cannot bend like the lens may go there with frames a small turn apart.",
+    )
     refine_focal = Boolean(True, doc="Find the focal length; no: keep that of the scene's cameras.")
     refine_distortion = Boolean(True, doc="Find the distortion; no: keep that of the scene's cameras.")
     refine_principal_point = Boolean(
@@ -66,75 +71,6 @@ class SfmSettings(Settings):
         "metres, east-north-up.",
     )
     threads = Integer(0, bounds=(0, 256), doc="Threads of the solver; 0: as many as there are cores.")
-
-
-@dataclass(frozen=True, slots=True)
-class CameraChange:
-    """A camera before and after; ``names`` are COLMAP's of the parameters, lengths in pixels."""
-
-    camera_id: int
-    model: str
-    names: str
-    before: tuple[float, ...]
-    after: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class SfmResult:
-    """Poses and points of the largest model.
-
-    Attributes
-    ----------
-    scene:
-        The scene with poses, cameras, points and tracks. Its world frame is its own (no georeference, no priors)
-        unless positions were used. Frames that were not registered have no pose.
-    models:
-        Number of registered pictures of each model that was found, the largest first. The scene is the first.
-    observations:
-        Number of observations by the name of each registered picture.
-    mean_track_length:
-        Observations per point.
-    mean_reprojection_error:
-        In pixels, mean over the points.
-    cameras:
-        Those of registered pictures.
-    adjustment:
-        What the last adjustment did.
-    seconds:
-        Wall time by part.
-    """
-
-    scene: Scene
-    models: tuple[int, ...]
-    observations: Mapping[str, int]
-    mean_track_length: float
-    mean_reprojection_error: float
-    cameras: tuple[CameraChange, ...]
-    adjustment: AdjustmentReport
-    seconds: Mapping[str, float]
-
-    @property
-    def not_registered(self) -> tuple[str, ...]:
-        """Names of the frames without a pose."""
-        return tuple(frame.name for frame in self.scene.frames if frame.cam_from_world is None)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers, ready for JSON."""
-        return {
-            "images": len(self.scene),
-            "registered": len(self.scene.registered),
-            "registered_names": [frame.name for frame in self.scene.registered],
-            "not_registered": list(self.not_registered),
-            "models": list(self.models),
-            "points": 0 if self.scene.points is None else len(self.scene.points),
-            "observations": sum(self.observations.values()),
-            "observations_per_image": dict(self.observations),
-            "mean_track_length": self.mean_track_length,
-            "mean_reprojection_error": self.mean_reprojection_error,
-            "cameras": [asdict(camera) for camera in self.cameras],
-            "adjustment": self.adjustment.to_dict(),
-            "seconds": dict(self.seconds),
-        }
 
 
 def incremental_sfm(
@@ -196,19 +132,15 @@ def incremental_sfm(
     found.sort(key=lambda model: (model.num_reg_images(), model.num_points3D()), reverse=True)
     mapped = time.perf_counter()
     best = found[0]
-    report = _adjust(best, scene, settings, progress)
-    adjusted = time.perf_counter()
-    images = (best.image(image_id) for image_id in best.reg_image_ids())
+    report = adjust_model(best, scene, settings, progress)
     found_scene = scene_from_pycolmap(best, scene.image_dir, like=scene.without_poses())
-    return SfmResult(
-        scene=found_scene if settings.use_positions else _in_its_own_world(found_scene),
+    return sfm_result(
+        best,
+        found_scene if settings.use_positions else _in_its_own_world(found_scene),
         models=tuple(model.num_reg_images() for model in found),
-        observations={image.name: int(image.num_points3D) for image in images},
-        mean_track_length=float(best.compute_mean_track_length()),
-        mean_reprojection_error=float(best.compute_mean_reprojection_error()),
-        cameras=_changes(before, best),
+        before=before,
         adjustment=report,
-        seconds={"mapping": mapped - start, "adjustment": adjusted - mapped},
+        seconds={"mapping": mapped - start, "adjustment": time.perf_counter() - mapped},
     )
 
 
@@ -280,6 +212,8 @@ def _options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOp
         use_prior_position=settings.use_positions,
         use_robust_loss_on_prior_position=settings.use_positions,
     )
+    for part in (options, options.mapper, options.triangulation):
+        part.min_focal_length_ratio = settings.least_focal
     options.mapper.random_seed = seed
     options.mapper.init_min_num_inliers = settings.init_min_inliers
     options.mapper.init_min_tri_angle = settings.init_min_angle
@@ -293,9 +227,10 @@ def _options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOp
     return options
 
 
-def _adjust(
+def adjust_model(
     model: pycolmap.Reconstruction, scene: Scene, settings: SfmSettings, progress: Progress
 ) -> AdjustmentReport:
+    """Adjust a model of the scene's frames in place by :func:`toolkit.poses.adjust.adjust`, as the settings say."""
     priors = position_priors(scene, model) if settings.use_positions else ()
 
     def call(token: pycolmap.CancellationToken) -> AdjustmentReport:
@@ -317,17 +252,3 @@ def _adjust(
 
     event = ProgressEvent("sfm", model.num_reg_images(), len(scene), "last adjustment")
     return run_colmap(call, lambda: event, progress)
-
-
-def _changes(before: Mapping[int, pycolmap.Camera], model: pycolmap.Reconstruction) -> tuple[CameraChange, ...]:
-    used = sorted({model.image(image_id).camera_id for image_id in model.reg_image_ids()})
-    return tuple(
-        CameraChange(
-            number,
-            model.camera(number).model.name,
-            model.camera(number).params_info,
-            tuple(float(value) for value in before[number].params),
-            tuple(float(value) for value in model.camera(number).params),
-        )
-        for number in used
-    )

@@ -23,7 +23,9 @@ from toolkit.files import disk_errors
 from toolkit.matching.database import copy_database, require_same_frames
 from toolkit.poses.arc_sigma import ArcSigma, arc_sigma
 from toolkit.poses.camera_start import plain_cameras, with_cameras, write_cameras
-from toolkit.poses.sfm import SfmResult, SfmSettings, incremental_sfm
+from toolkit.poses.refine_lens import SIMPLER, refine_lens
+from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.poses.sfm_result import SfmResult
 from toolkit.poses.undistort import undistort
 from toolkit.progress import Progress, silent
 from toolkit.scene import Scene
@@ -135,6 +137,7 @@ def one_step(
     settings: SfmSettings,
     *,
     start_focal: float = 0.0,
+    simple_first: bool = True,
     seed: int = 0,
     progress: Progress = silent,
     work_dir: Path,
@@ -154,6 +157,10 @@ def one_step(
         Of the reconstruction; focal length and distortion must be refined.
     start_focal:
         In pixels, with the principal point in the picture's middle; 0: those of the scene's cameras.
+    simple_first:
+        Whether a model of more than two coefficients gets its poses from one of two
+        (:data:`toolkit.poses.refine_lens.SIMPLER`), and is refined from there. Without, it is in the mapper from
+        the beginning, as COLMAP does it.
     seed:
         Of every random choice.
     progress:
@@ -174,9 +181,15 @@ def one_step(
             expected="true for both",
             todo="For a lens that is known, reconstruct with it (incremental_sfm)",
         )
-    cameras = plain_cameras(scene, model, start_focal)
+    mapped_with = SIMPLER.get(model, model) if simple_first else model
     return _pass(
-        with_cameras(scene, cameras), database_path, settings, seed=seed, progress=progress, work_dir=work_dir
+        with_cameras(scene, plain_cameras(scene, mapped_with, start_focal)),
+        database_path,
+        settings,
+        model=model,
+        seed=seed,
+        progress=progress,
+        work_dir=work_dir,
     )
 
 
@@ -189,6 +202,7 @@ def two_step(
     rematch: Rematch,
     folder: Path,
     start_focal: float = 0.0,
+    simple_first: bool = True,
     seed: int = 0,
     progress: Progress = silent,
     work_dir: Path,
@@ -197,7 +211,7 @@ def two_step(
 
     Parameters
     ----------
-    scene, database_path, model, settings, start_focal, seed, progress, work_dir:
+    scene, database_path, model, settings, start_focal, simple_first, seed, progress, work_dir:
         As of :func:`one_step`, which is the first pass.
     rematch:
         Finds features and matches of the undistorted pictures, with the settings and the method of the first pass.
@@ -216,6 +230,7 @@ def two_step(
         model,
         settings,
         start_focal=start_focal,
+        simple_first=simple_first,
         seed=seed,
         progress=progress,
         work_dir=work_dir,
@@ -231,7 +246,9 @@ def two_step(
         fixed = settings.replace(
             {"refine_focal": False, "refine_distortion": False, "refine_principal_point": False}
         )
-        second = _pass(flat.without_poses(), again, fixed, seed=seed, progress=progress, work_dir=work_dir)
+        second = _pass(
+            flat.without_poses(), again, fixed, model="PINHOLE", seed=seed, progress=progress, work_dir=work_dir
+        )
     except StageError as error:
         seconds = {"undistort": undistorted - start, "match": time.perf_counter() - undistorted}
         return TwoStepResult(first, None, str(error), seconds)
@@ -248,9 +265,19 @@ def _known_cameras(scene: Scene) -> Scene:
 
 
 def _pass(
-    scene: Scene, database_path: Path, settings: SfmSettings, *, seed: int, progress: Progress, work_dir: Path
+    scene: Scene,
+    database_path: Path,
+    settings: SfmSettings,
+    *,
+    model: str,
+    seed: int,
+    progress: Progress,
+    work_dir: Path,
 ) -> PassResult:
-    """Reconstruct with the scene's cameras, whatever cameras the database has, and measure the arc."""
+    """Reconstruct with the scene's cameras, whatever cameras the database has, and measure the arc.
+
+    Cameras of another model than the one that is asked for find the poses only.
+    """
     start = time.perf_counter()
     require_same_frames(database_path, scene)
     with disk_errors(work_dir, "writing"):
@@ -260,7 +287,10 @@ def _pass(
         copy = Path(temporary) / "matches.db"
         copy_database(database_path, copy)
         write_cameras(copy, used)
-        found = incremental_sfm(scene, copy, settings, seed=seed, progress=progress, work_dir=Path(temporary))
+        work = Path(temporary)
+        found = incremental_sfm(scene, copy, settings, seed=seed, progress=progress, work_dir=work)
+        if any(camera.model != model for camera in used.values()):
+            found = refine_lens(found, copy, model, settings, seed=seed, progress=progress, work_dir=work)
     seconds = time.perf_counter() - start
     arc, failure = None, ""
     try:
@@ -273,5 +303,4 @@ def _pass(
         )
     except StageError as error:
         failure = str(error)
-    models = sorted({camera.model for camera in used.values()})
-    return PassResult(", ".join(models), not settings.refine_focal, found, arc, failure, seconds)
+    return PassResult(model, not settings.refine_focal, found, arc, failure, seconds)

@@ -38,7 +38,8 @@ def faint_features() -> FeatureSettings:
 
 def small_step_sfm() -> SfmSettings:
     """Return settings of structure from motion for frames a small turn apart that show few features."""
-    return SfmSettings(init_min_angle=2.0, init_min_inliers=40, min_inliers=12)
+    # SIMPLE_RADIAL's focal length falls to a twentieth of the width here; the mapper would begin for ever again.
+    return SfmSettings(init_min_angle=2.0, init_min_inliers=40, min_inliers=12, least_focal=0.01)
 
 
 class BladesExhaustiveSettings(Settings):
@@ -119,6 +120,10 @@ def _result(
     metrics: dict[str, float | None] = {**sfm_metrics(scene, sfm), **measured, **more}
     if "pairs" in by_name:
         metrics["pairs.dropped"] = float(by_name["pairs"].report["dropped"])
+    lens = sfm["first_pass"]["sfm"]["cameras"] if "first_pass" in sfm else sfm["cameras"]
+    if len(lens) == 1:
+        width = next(iter(data.scene.cameras.values())).width
+        metrics["lens.focal_widths"] = lens[0]["after"][0] / width
     # Undistorting leaves frames without a pose behind.
     metrics["sfm.images"] = float(len(data.scene))
     metrics["pairs.verified"] = float(by_name["matches"].report["pairs_verified"])

@@ -44,6 +44,11 @@ class LensSettings(Settings):
         "undistorted, and all begins again with a fixed PINHOLE; known: the capture's own cameras are kept.",
     )
     model = Choice("OPENCV_FISHEYE", choices=MODELS, doc="Camera model that is to be found, starting undistorted.")
+    simple_first = Boolean(
+        True,
+        doc="A model of more than two coefficients gets its poses from one of two, and is refined from there; no: "
+        "it is in the mapper from the beginning, as COLMAP does it, which may lose it.",
+    )
     start_focal = Number(
         0.0,
         bounds=(0.0, 10.0),
@@ -179,7 +184,16 @@ def find_poses(
             write_scene(found.scene, folder / SCENE)
             return {**found.to_dict(), "arc": _known_arc(found.scene)}
         if lens.way == "one-step":
-            one = one_step(scene, matched.database, lens.model, sfm, seed=seed, progress=progress, work_dir=work)
+            one = one_step(
+                scene,
+                matched.database,
+                lens.model,
+                sfm,
+                simple_first=lens.simple_first,
+                seed=seed,
+                progress=progress,
+                work_dir=work,
+            )
             write_scene(one.scene, folder / SCENE)
             return {**one.sfm.to_dict(), "arc": _arc(one, None if one.arc is None else one.arc.sigma)}
         both = two_step(
@@ -190,6 +204,7 @@ def find_poses(
             rematch=rematch,
             # The scene's own folder, so that it finds its pictures when the stage's folder is renamed.
             folder=folder / SCENE,
+            simple_first=lens.simple_first,
             seed=seed,
             progress=progress,
             work_dir=work,

@@ -38,6 +38,7 @@ PAPER_TRUTH: Final = 98.0
 _COLUMNS = (
     ("arc (deg)", "circle.arc_deg", 1),
     ("error (deg)", "circle.arc_error_deg", 1),
+    ("focal (widths)", "lens.focal_widths", 3),
     ("radius spread", "circle.radius_spread", 4),
     ("out of plane", "circle.out_of_plane", 4),
     ("points", "sfm.points", 0),
@@ -90,7 +91,8 @@ class ArcTable:
             "+- is one standard deviation from the covariance of the bundle adjustment, of independent residuals, "
             "with the intrinsics among the unknowns; in undistorted rows with the lens as uncertain as the first "
             "pass left it. What residuals have in common comes on top.",
-            f"A lens that is not known starts at {START_FOCAL} widths, undistorted, its axis in the middle.",
+            f"A lens that is not known starts at {START_FOCAL} widths, undistorted, its axis in the middle. "
+            "OPENCV_FISHEYE gets its poses from RADIAL_FISHEYE, and is refined from there.",
         ]
 
 

@@ -1,0 +1,118 @@
+"""What structure from motion found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import pycolmap
+
+from toolkit.poses.adjust import AdjustmentReport
+from toolkit.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChange:
+    """A camera before and after; ``names`` are COLMAP's of the parameters, lengths in pixels."""
+
+    camera_id: int
+    model: str
+    names: str
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SfmResult:
+    """Poses and points of the largest model.
+
+    Attributes
+    ----------
+    scene:
+        The scene with poses, cameras, points and tracks. Its world frame is its own (no georeference, no priors)
+        unless positions were used. Frames that were not registered have no pose.
+    models:
+        Number of registered pictures of each model that was found, the largest first. The scene is the first.
+    observations:
+        Number of observations by the name of each registered picture.
+    mean_track_length:
+        Observations per point.
+    mean_reprojection_error:
+        In pixels, mean over the points.
+    cameras:
+        Those of registered pictures.
+    adjustment:
+        What the last adjustment did.
+    seconds:
+        Wall time by part.
+    """
+
+    scene: Scene
+    models: tuple[int, ...]
+    observations: Mapping[str, int]
+    mean_track_length: float
+    mean_reprojection_error: float
+    cameras: tuple[CameraChange, ...]
+    adjustment: AdjustmentReport
+    seconds: Mapping[str, float]
+
+    @property
+    def not_registered(self) -> tuple[str, ...]:
+        """Names of the frames without a pose."""
+        return tuple(frame.name for frame in self.scene.frames if frame.cam_from_world is None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, ready for JSON."""
+        return {
+            "images": len(self.scene),
+            "registered": len(self.scene.registered),
+            "registered_names": [frame.name for frame in self.scene.registered],
+            "not_registered": list(self.not_registered),
+            "models": list(self.models),
+            "points": 0 if self.scene.points is None else len(self.scene.points),
+            "observations": sum(self.observations.values()),
+            "observations_per_image": dict(self.observations),
+            "mean_track_length": self.mean_track_length,
+            "mean_reprojection_error": self.mean_reprojection_error,
+            "cameras": [asdict(camera) for camera in self.cameras],
+            "adjustment": self.adjustment.to_dict(),
+            "seconds": dict(self.seconds),
+        }
+
+
+def sfm_result(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    *,
+    models: tuple[int, ...],
+    before: Mapping[int, pycolmap.Camera],
+    adjustment: AdjustmentReport,
+    seconds: Mapping[str, float],
+) -> SfmResult:
+    """Return the result whose numbers are those of COLMAP's model; ``before`` are the cameras at the start."""
+    images = (model.image(image_id) for image_id in model.reg_image_ids())
+    return SfmResult(
+        scene=scene,
+        models=models,
+        observations={image.name: int(image.num_points3D) for image in images},
+        mean_track_length=float(model.compute_mean_track_length()),
+        mean_reprojection_error=float(model.compute_mean_reprojection_error()),
+        cameras=_changes(before, model),
+        adjustment=adjustment,
+        seconds=seconds,
+    )
+
+
+def _changes(before: Mapping[int, pycolmap.Camera], model: pycolmap.Reconstruction) -> tuple[CameraChange, ...]:
+    used = sorted({model.image(image_id).camera_id for image_id in model.reg_image_ids()})
+    return tuple(
+        CameraChange(
+            number,
+            model.camera(number).model.name,
+            model.camera(number).params_info,
+            tuple(float(value) for value in before[number].params),
+            tuple(float(value) for value in model.camera(number).params),
+        )
+        for number in used
+    )
