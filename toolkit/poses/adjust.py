@@ -29,7 +29,7 @@ _LOSS_SCALE = 2.0
 _PRIOR_LOSS_SCALE = 2.8
 #: Largest standard deviation, as a part of the longer side, of a principal point that counts as determined. It is
 #: that of independent residuals; on filmed flights the true error was four times as large, and turned all cameras.
-_DETERMINED = 0.0002
+POINT_SIGMA = 0.0002
 # The cost changes by less than this part in the last step: poses move by far less than their standard deviation.
 _TOLERANCE = 1e-6
 # The same where measured positions hold the whole, for these hold it loosely: steps after it moved poses of filmed
@@ -90,6 +90,7 @@ def adjust(
     refine_principal_point: bool,
     max_error: float,
     min_angle: float,
+    point_sigma: float = POINT_SIGMA,
     threads: int = 0,
     check_cancelled: Callable[[], None] = lambda: None,
     priors: Sequence[pycolmap.PosePrior] = (),
@@ -103,10 +104,12 @@ def adjust(
     refine_focal, refine_distortion:
         Whether focal lengths and distortion are among the unknowns.
     refine_principal_point:
-        Whether principal points are, too, provided that all cameras' are determined to 0.02 % of the longer side.
+        Whether principal points are, too, provided that all cameras' are determined to ``point_sigma``.
     max_error, min_angle:
         Observations with a larger error in pixels afterwards, and points seen under a smaller angle in degrees,
         are removed.
+    point_sigma:
+        Largest standard deviation of a principal point that counts as determined, as a part of the longer side.
     threads:
         Of the solver; 0: as many as there are cores.
     check_cancelled:
@@ -124,9 +127,8 @@ def adjust(
     options.ceres.solver_options.num_threads = threads or -1
     options.ceres.solver_options.function_tolerance = _TOLERANCE_OF_POSITIONS if priors else _TOLERANCE
     options.ceres.solver_options.max_num_iterations = _STEPS
-    focal, focal_sigma, point, point_sigma = _unknowns(
-        reconstruction, options, noise, priors, refine_principal_point=refine_principal_point
-    )
+    wanted = point_sigma if refine_principal_point else None
+    focal, focal_sigma, point, found_sigma = _unknowns(reconstruction, options, noise, priors, wanted)
     check_cancelled()
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     # A model without noise still needs a positive scale.
@@ -139,7 +141,7 @@ def adjust(
     return AdjustmentReport(
         noise,
         point,
-        point_sigma,
+        found_sigma,
         focal,
         focal_sigma,
         summary.ceres_summary.num_successful_steps,
@@ -247,14 +249,14 @@ def _unknowns(
     options: pycolmap.BundleAdjustmentOptions,
     noise: float,
     priors: Sequence[pycolmap.PosePrior],
-    *,
-    refine_principal_point: bool,
+    wanted: float | None,
 ) -> tuple[Outcome, float | None, Outcome, float | None]:
-    """Set in ``options`` what of the cameras is refined.
+    """Set in ``options`` what of the cameras is refined; principal points if they are known to ``wanted``.
 
     Returns what becomes of focal lengths and of principal points, and how well each is determined (None where that
     was not looked into).
     """
+    refine_principal_point = wanted is not None
     look = options.refine_focal_length and bool(priors)
     focal: Outcome = "refined" if options.refine_focal_length else "fixed"
     if not look and not refine_principal_point:
@@ -271,10 +273,10 @@ def _unknowns(
             options.refine_focal_length = options.refine_extra_params = options.refine_principal_point = False
             return "not determined", focal_sigma, "fixed", None
     told = focal_sigma if look else None
-    if not refine_principal_point:
+    if wanted is None:
         return focal, told, "fixed", None
     longest = min(max(camera.width, camera.height) for camera in _used_cameras(reconstruction))
-    options.refine_principal_point &= _within(point_sigma, _DETERMINED * longest)
+    options.refine_principal_point &= _within(point_sigma, wanted * longest)
     return focal, told, "refined" if options.refine_principal_point else "not determined", point_sigma
 
 

@@ -14,7 +14,7 @@ from toolkit.errors import Cancelled, StageError
 from toolkit.files import disk_errors
 from toolkit.matching.colmap_job import run_colmap
 from toolkit.matching.database import copy_database, require_same_frames
-from toolkit.poses.adjust import AdjustmentReport, adjust, position_priors
+from toolkit.poses.adjust import POINT_SIGMA, AdjustmentReport, adjust, position_priors
 from toolkit.poses.sfm_failure import check_matches, no_initial_pair
 from toolkit.poses.sfm_result import SfmResult, sfm_result
 from toolkit.progress import Progress, ProgressEvent, silent
@@ -56,6 +56,13 @@ class SfmSettings(Settings):
     refine_distortion = Boolean(True, doc="Find the distortion; no: keep that of the scene's cameras.")
     refine_principal_point = Boolean(
         True, doc="Find the principal point in the last adjustment, where the pictures determine it."
+    )
+    principal_point_sigma = Number(
+        POINT_SIGMA,
+        bounds=(0.0, 1.0),
+        unit="longer sides",
+        doc="Largest standard deviation of a principal point that counts as determined. Low for lenses whose axis "
+        "meets the picture near its middle; higher where it does not, as in borescopes.",
     )
     global_growth = Number(
         1.1,
@@ -243,6 +250,7 @@ def adjust_model(
             refine_focal=settings.refine_focal,
             refine_distortion=settings.refine_distortion,
             refine_principal_point=settings.refine_principal_point,
+            point_sigma=settings.principal_point_sigma,
             max_error=settings.max_error,
             min_angle=settings.min_angle,
             threads=settings.threads,

@@ -38,8 +38,15 @@ def faint_features() -> FeatureSettings:
 
 def small_step_sfm() -> SfmSettings:
     """Return settings of structure from motion for frames a small turn apart that show few features."""
-    # SIMPLE_RADIAL's focal length falls to a twentieth of the width here; the mapper would begin for ever again.
-    return SfmSettings(init_min_angle=2.0, init_min_inliers=40, min_inliers=12, least_focal=0.01)
+    return SfmSettings(
+        init_min_angle=2.0,
+        init_min_inliers=40,
+        min_inliers=12,
+        # SIMPLE_RADIAL's focal length falls to a twentieth of the width; the mapper would begin for ever again.
+        least_focal=0.01,
+        # A borescope's axis is pixels off the middle, by which an open arc of 98 degrees bends by four.
+        principal_point_sigma=0.002,
+    )
 
 
 class BladesExhaustiveSettings(Settings):
@@ -86,6 +93,7 @@ def run_circular(data: RecipeInput, settings: BladesCircularSettings, context: R
     before, _ = circle_metrics(read_scene(posed.folder / SCENE), data.reference)
     metrics: dict[str, float | None] = {
         "circle.arc_sigma_deg": closed.report["arc_sigma"],
+        "circle.orientation_sigma_deg": closed.report["orientation_sigma"],
         "circle.seam_gap": closed.report["closure_gap"],
         **{f"before.{name}": value for name, value in before.items() if name.startswith("circle.")},
     }
