@@ -12,6 +12,7 @@ _CURES = {
         "pip install open3d-cpu (Linux on x86-64) or pip install open3d; where a library of the system is missing, "
         "scripts/system-libraries.sh names the Debian packages"
     ),
+    "skimage": "pip install scikit-image",
     "cv2": "pip install 'sightline-toolkit[video]'",
     "av": "pip install 'sightline-toolkit[video]'",
     "gsplat": "pip install 'sightline-toolkit[cuda]'",

@@ -12,6 +12,7 @@ size of a blade's own points, as it is in truth.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -32,12 +33,16 @@ from blade_footage import (
     with_lens_found,
     wrong_pairs,
 )
+from scipy.spatial.transform import Rotation
 
 from toolkit.matching.feature_choice import FeatureSettings
 from toolkit.matching.pairs import PairSettings
 from toolkit.matching.wrong_pairs import WrongPairSettings, drop_pairs, find_wrong_pairs
 from toolkit.metrics.circle import circle_errors, fit_circle
+from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.poses.circular import close_circle
+from toolkit.poses.circular_result import CircularResult
+from toolkit.poses.circular_scale import fine_tracks
 from toolkit.poses.circular_seam import seam_matches, seam_tracks
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import incremental_sfm
@@ -158,43 +163,67 @@ def size_drift(found: Scene, truth: Scene) -> float:
 
 
 def measure_circle(work: Path) -> None:
-    """A whole turn with shake: as it drifts, and closed with and without matches across the seam."""
-    sample = engine(work, frames=720, stride=5)
-    scene = unknown_lens(masked(sample, work))
+    """A whole turn with shake, as it drifts and closed: lens found or known, seam given or withheld."""
+    sample = engine(work, frames=360, stride=10)
+    captures = {"lens found": unknown_lens(masked(sample, work)), "lens known": masked(sample, work)}
     head(
-        f"A whole turn, {len(scene)} frames, shake 0.2 %, intrinsics free",
+        f"A whole turn, {sample.settings.film.frames} frames, shake 0.2 %",
         *("", "placed", "turn (deg)", "gap (% of circumference)", "position (% of radius)"),
-        *("orientation (deg)", "angle (deg)", "s"),
+        *("orientation (deg)", "its sigma", "of it the mount", "angle (deg)", "s"),
     )
-    window = sample.window
-    for closed in (True, False):
-        pairs = PairSettings(method="sequential", overlap=window, quadratic=False, closed=closed)
-        database = reconstruct(scene, work / f"circle-{closed}", pairs, sfm=False).database
+    for (lens, scene), closed in itertools.product(captures.items(), (True, False)):
+        pairs = PairSettings(method="sequential", overlap=sample.window, quadratic=False, closed=closed)
+        folder = work / f"circle-{lens[5:]}-{closed}"
+        name = f"{lens}, matches across the seam{'' if closed else ' withheld'}"
+        kept = KNOWN if lens == "lens known" else {}
+        database = reconstruct(scene, folder, pairs, sfm=False).database
         start = time.perf_counter()
-        found = with_lens_found(scene, database, work / "circle")
-        name = "matches across the seam" if closed else "matches across the seam withheld"
-        _circle_row(f"sfm, {name}", found, sample, time.perf_counter() - start)
-        start = time.perf_counter()
+        if kept:
+            found = incremental_sfm(scene, database, small_step_sfm().replace(kept), work_dir=folder).scene
+        else:
+            found = with_lens_found(scene, database, folder)
+        _circle_row(f"sfm, {name}", found, None, sample, time.perf_counter() - start)
         joined = seam_tracks(found, seam_matches(found, database)).scene
-        result = close_circle(joined, CircularSettings(full_turn=not closed))
-        _circle_row(f"circle, {name}", result.scene, sample, time.perf_counter() - start)
+        for scale in (0.0, CircularSettings().max_scale):
+            start = time.perf_counter()
+            fine = fine_tracks(joined, database, scale).scene
+            result = close_circle(fine, CircularSettings(full_turn=not closed).replace(kept))
+            told = f"circle, {f'features up to {scale:g} px' if scale else 'all features'}, {name}"
+            _circle_row(told, result.scene, result, sample, time.perf_counter() - start)
 
 
-def _circle_row(name: str, found: Scene, sample: EngineSample, seconds: float) -> None:
+def _circle_row(
+    name: str, found: Scene, result: CircularResult | None, sample: EngineSample, seconds: float
+) -> None:
     errors = circle_errors(found, sample.scene)
     step = float(sample.angles[-1] - sample.angles[0])
     fit = fit_circle(found.centres(), expected_turn=step)
-    gap = abs(fit.arc_degrees - step) / 360.0
+    sigma = None if result is None else result.orientation_sigma
     row(
         name,
         f"{len(found.registered)} of {len(found)}",
         f"{fit.arc_degrees:.2f} of {step:.2f}",
-        f"{100 * gap:.3f}",
+        f"{100 * abs(fit.arc_degrees - step) / 360.0:.4f}",
         f"{100 * np.sqrt(np.mean(errors.position**2)):.2f} (max {100 * errors.position.max():.2f})",
         f"{np.sqrt(np.mean(errors.rotation_deg**2)):.3f} (max {errors.rotation_deg.max():.3f})",
+        "" if sigma is None else f"{sigma:.3f}",
+        f"{shared_turn(found, sample.scene):.3f}",
         f"{np.sqrt(np.mean(errors.angle_deg**2)):.3f} (max {np.abs(errors.angle_deg).max():.3f})",
         f"{seconds:.0f}",
     )
+
+
+def shared_turn(found: Scene, truth: Scene) -> float:
+    """Return by how many degrees all cameras are turned alike in their own axes: the error of their mount."""
+    to_truth = trajectory_errors(found, truth, "sim3").reference_from_estimate
+    off = []
+    for frame in found.registered:
+        true = truth.frame(frame.name).cam_from_world
+        assert frame.cam_from_world is not None
+        assert true is not None
+        turned = to_truth.apply_to_pose(frame.cam_from_world).rotation @ true.rotation.T
+        off.append(Rotation.from_matrix(turned).as_rotvec(degrees=True))
+    return float(np.linalg.norm(np.mean(off, axis=0)))
 
 
 def methods() -> Iterator[tuple[str, FeatureSettings]]:

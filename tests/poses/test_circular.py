@@ -85,6 +85,10 @@ def test_a_spiral_of_300_degrees_closes_with_matches_across_the_seam() -> None:
     # The orientation that all frames share is off by what it says of itself.
     assert camera.mount_sigma is not None
     assert errors_of_mount(result.scene, made.scene) < 4 * camera.mount_sigma
+    # The noise of these pixels is independent, so all orientations are as far off as is said, within a factor.
+    off = circle_errors(result.scene, made.scene).rotation_deg
+    assert result.orientation_sigma is not None
+    assert 0.3 < float(np.sqrt(np.mean(off**2))) / result.orientation_sigma < 3
 
 
 def test_a_known_turn_closes_it_with_those_matches_withheld() -> None:

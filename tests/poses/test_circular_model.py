@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from circular_ring import RADIUS, ring_sample
+from scipy.sparse import csr_array
 
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.poses.circular_constraints import ring_constraints
@@ -22,7 +23,7 @@ from toolkit.poses.circular_model import (
     rotations,
 )
 from toolkit.poses.circular_settings import CircularSettings
-from toolkit.poses.circular_solver import covariance, solve
+from toolkit.poses.circular_solver import Constraints, covariance, solve
 from toolkit.poses.circular_start import chain_of, first_ring, turn_of_seam
 from toolkit.poses.circular_tracks import Sequence, observations_of, sequence_of
 
@@ -159,6 +160,48 @@ def test_the_solver_finds_back_what_perfect_pixels_say() -> None:
     assert all(b < a for a, b in zip(found.costs[:-1], found.costs[1:], strict=True))
     # What is left is the weak pull of the slacks, which is 1e-4 of that of a pixel.
     assert np.nanmax(np.abs(residuals(found.ring, exact))) < 0.02
+
+
+def test_without_a_step_that_lowers_the_cost_it_has_converged_only_at_the_bottom() -> None:
+    ring, seen, _ = small_ring()
+    exact = dataclasses.replace(seen, pixel=seen.pixel + residuals(ring, seen))
+    unknowns = Unknowns(1, ((),))
+    size = len(ring.angle) + unknowns.others
+    angle = ring.angle[3]
+
+    def backwards(off: float) -> Constraints:
+        """Return a pull of a frame's angle whose derivative has the wrong sign: all steps lead uphill."""
+
+        def rows(now: Ring, _: Unknowns) -> tuple[np.ndarray, csr_array]:
+            away = np.array([1e6 * (now.angle[3] - angle) + off])
+            return away, csr_array((np.array([-1e6]), (np.array([0]), np.array([3]))), shape=(1, size))
+
+        return rows
+
+    for off, converged in ((1e3, False), (0.0, True)):
+        found = solve(
+            *(ring, exact, unknowns, backwards(off)),
+            noise=1.0,
+            steps=50,
+            tolerance=1e-9,
+            tell=lambda step, cost: None,
+        )
+        assert len(found.costs) < 10
+        assert found.converged is converged
+
+
+def test_points_swing_with_angles_that_are_off_by_degrees() -> None:
+    """A turn of all angles and of all points about the axis changes no pixel, however far."""
+    ring, seen, _ = small_ring()
+    unknowns = Unknowns(1, ((),))
+    turn = 0.3
+    step = np.concatenate([np.full(len(ring.angle), turn), np.zeros(unknowns.others)])
+    around = turn * np.column_stack([-ring.points[:, 1], ring.points[:, 0], np.zeros(len(ring.points))])
+    moved = ring.moved(step, around, unknowns)
+    np.testing.assert_allclose(residuals(moved, seen), residuals(ring, seen), atol=1e-9)
+    on_axis = dataclasses.replace(ring, points=np.zeros((1, 3)))
+    there = on_axis.moved(0 * step, np.array([[0.1, 0.2, 0.3]]), unknowns)
+    np.testing.assert_allclose(there.points, [[0.1, 0.2, 0.3]])
 
 
 def test_the_chain_finds_axis_mount_and_angles_of_a_true_ring() -> None:

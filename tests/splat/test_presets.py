@@ -8,6 +8,8 @@ import pytest
 
 from toolkit.cli import main
 from toolkit.errors import SettingsError
+from toolkit.nerf.settings import NerfSettings
+from toolkit.recipes.base import Recipe
 from toolkit.recipes.presets import recipe_presets, with_preset
 from toolkit.recipes.registry import all_recipes, find_recipe
 from toolkit.runs import launch
@@ -52,11 +54,21 @@ def test_a_draft_densifies_on_pictures_of_half_and_of_full_size() -> None:
     assert {schedule.shrink_at(step) for step in rounds} == {2, 1}
 
 
-TRAINING = [recipe for recipe in all_recipes().values() if not recipe.name.startswith("blades-")]
+def training(kind: type[Settings]) -> list[Recipe]:
+    return [
+        each for each in all_recipes().values() if isinstance(getattr(each.settings_type(), "train", None), kind)
+    ]
+
+
+TRAINING = training(TrainSettings)
 
 
 def test_only_recipes_that_train_take_presets() -> None:
-    assert [recipe for recipe in all_recipes().values() if recipe_presets(recipe)] == TRAINING
+    taking = {recipe.name for recipe in all_recipes().values() if recipe_presets(recipe)}
+    fields = {recipe.name for recipe in training(NerfSettings)}
+    assert taking == {recipe.name for recipe in TRAINING} | fields
+    assert {"colmap-3dgs", "cf-3dgs", "sensor-fused", "splat-mesh"} < taking
+    assert fields == {"nerf", "ds-nerf"}
 
 
 @pytest.mark.parametrize("recipe", TRAINING, ids=lambda recipe: recipe.name)

@@ -152,7 +152,7 @@ def test_python_threads_can_draw_at_the_same_time() -> None:
 
 
 def test_launches_take_turns_where_the_threading_layer_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("toolkit.splat.cpu.kernels.threading_layer", lambda: "workqueue")
+    monkeypatch.setattr("toolkit.geometry.compiled.threading_layer", lambda: "workqueue")
     entered = threading.Event()
 
     def other() -> None:

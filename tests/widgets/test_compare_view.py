@@ -10,11 +10,13 @@ from pathlib import Path
 import panel as pn
 import pytest
 from fake_recipe import RECIPE, MakeRun
+from shapes import ball
 
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import execute
 from toolkit.runs.process import ProcessMark
 from toolkit.runs.status import RunStatus, utc_now, write_status
+from toolkit.scene.mesh_files import write_mesh
 from toolkit.widgets.compare_view import CompareView
 from toolkit.widgets.pictures import PictureCard
 
@@ -220,7 +222,7 @@ def test_what_the_pictures_show_is_chosen_by_buttons(pair: list[RunFolder]) -> N
 
 def test_points_that_are_missing_are_told_beside_the_paths(pair: list[RunFolder]) -> None:
     view = compared(*pair)
-    choice = next(each for each in view.__panel__().select(pn.widgets.Select) if each.label == "Points")
+    choice = next(each for each in view.__panel__().select(pn.widgets.Select) if each.label == "Points or mesh")
     choice.value = "gaussians"
     assert "fast: Run " in shown(view)
     assert "has no splat" in shown(view)
@@ -236,3 +238,14 @@ def test_settings_that_differ_stand_in_groups_with_the_others_marked(
     assert '<tr class="group"><th scope="rowgroup" colspan="4">general</th></tr>' in text
     row = '<th scope="row">loop.rate</th><td>0.8</td><td class="differs">0.2</td><td>0.8</td>'
     assert row in text
+
+
+def test_the_mesh_of_a_run_is_drawn_with_the_paths(pair: list[RunFolder]) -> None:
+    write_mesh(pair[1].artifacts / "mesh.ply", ball(finer=2))
+    view = compared(*pair)
+    choice = next(each for each in view.__panel__().select(pn.widgets.Select) if each.label == "Points or mesh")
+    choice.value = "mesh"
+    traces = [trace for drawn in figures(view) for trace in drawn["data"]]
+    assert [trace["name"] for trace in traces if trace["type"] == "mesh3d"] == ["fast: mesh"]
+    assert "a mesh of 128 faces, drawn with 128" in shown(view)
+    assert "has no mesh" in shown(view)

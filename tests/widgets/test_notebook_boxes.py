@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from fake_recipe import RECIPE, FakeSettings, MakeRun, write_photos
 from PIL import Image
+from shapes import ball
 
 from toolkit.errors import SettingsError
 from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
 from toolkit.runs.cancel import CancelRequests
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import execute
+from toolkit.scene.mesh_files import write_mesh
 from toolkit.widgets.notebook_compare import CompareBox
 from toolkit.widgets.notebook_run import RunBox
 from toolkit.widgets.notebook_settings import SettingsBox
@@ -111,6 +113,18 @@ def test_two_finished_runs_are_side_by_side_and_the_slider_moves(pair: list[RunF
     assert before != box.pictures.children[0].children[1].value
     assert photo.shape == render.shape
     assert (photo != render).any()
+
+
+def test_meshes_are_drawn_with_the_paths_where_they_are_chosen(pair: list[RunFolder], runs_dir: Path) -> None:
+    write_mesh(pair[1].artifacts / "mesh.ply", ball(finer=2))
+    box = CompareBox(runs_dir)
+    (plain,) = box._paths.children
+    assert not [trace for trace in plain.data if trace.type == "mesh3d"]
+    assert box._path_remarks.value == ""
+    box.shape.value = "mesh"
+    (drawn,) = box._paths.children
+    assert [trace.name for trace in drawn.data if trace.type == "mesh3d"] == ["fast: mesh"]
+    assert "has no mesh" in box._path_remarks.value
 
 
 def test_nothing_chosen_is_told(finished: MakeRun, runs_dir: Path) -> None:

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from toolkit.geometry.rigid import RigidTransform
+from toolkit.geometry.surface import Mesh
 from toolkit.plots.style import NEUTRAL, colour, dash, figure, shown
 
 Array = NDArray[np.float64]
@@ -28,6 +29,7 @@ def trajectory_figure(
     *,
     most_cameras: int = 60,
     clouds: Mapping[str, tuple[Array, NDArray[np.uint8]]] | None = None,
+    meshes: Mapping[str, Mesh] | None = None,
 ) -> go.Figure:
     """Draw camera centres as paths, with small pyramids that show where cameras look.
 
@@ -41,6 +43,8 @@ def trajectory_figure(
         Most pyramids drawn a path; centres are all drawn.
     clouds:
         By the run's label, points (N, 3) in the same frame and their colours (N, 3).
+    meshes:
+        By the run's label, surfaces in the same frame; those without colours are grey.
     """
     drawn = figure("", 560, margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=True)
     everything = [_centres(poses) for poses in [*paths.values(), reference or {}] if poses]
@@ -53,6 +57,9 @@ def trajectory_figure(
     for label, (xyz, rgb) in (clouds or {}).items():
         _add_cloud(drawn, label, xyz, rgb)
         everything.append(xyz)
+    for label, mesh in (meshes or {}).items():
+        _add_mesh(drawn, label, mesh)
+        everything.append(mesh.vertices)
     drawn.update_layout(legend={"y": 1.0}, scene=space(np.concatenate([np.empty((0, 3)), *everything])))
     return drawn
 
@@ -68,6 +75,29 @@ def _add_cloud(drawn: go.Figure, label: str, xyz: Array, rgb: NDArray[np.uint8])
         mode="markers",
         marker={"size": 1.6, "color": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()]},
         hoverinfo="skip",
+    )
+
+
+def _add_mesh(drawn: go.Figure, label: str, mesh: Mesh) -> None:
+    small, (a, b, c) = mesh.vertices.astype(np.float32), mesh.faces.T
+    # Photos hold the light already; a surface without colours shows its shape by the drawing's own.
+    look: dict[str, Any] = {"color": NEUTRAL, "flatshading": True}
+    if mesh.rgb is not None:
+        look = {
+            "vertexcolor": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in mesh.rgb.tolist()],
+            "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0},
+        }
+    drawn.add_mesh3d(
+        x=small[:, 0],
+        y=small[:, 1],
+        z=small[:, 2],
+        i=a,
+        j=b,
+        k=c,
+        name=f"{shown(label)}: mesh",
+        showlegend=True,
+        hoverinfo="skip",
+        **look,
     )
 
 

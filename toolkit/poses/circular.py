@@ -41,10 +41,11 @@ Index = NDArray[np.int64]
 
 # More frames make a dense system of more than 9,000 unknowns: minutes and a gigabyte a step.
 _MOST_FRAMES = 1500
-# Rounds before the last need not converge as far.
-_COARSE = 10.0
-# Slacks of the rounds in soft mode, as multiples of the declared ones: from stiff to as asked.
-_SLACKS = (0.3, 1.0)
+# Rounds before the last need not converge as far. The noise of their start is far too large: what they would settle
+# on is the best for wrong weights, so they are short.
+_COARSE, _COARSE_STEPS = 10.0, 12
+# Slacks of the rounds in soft mode, as multiples of the declared ones: from stiff to as asked, then for the noise.
+_SLACKS = (0.3, 1.0, 1.0)
 
 
 def close_circle(
@@ -138,8 +139,9 @@ def _rounds(settings: CircularSettings, free: tuple[tuple[int, ...], ...]) -> It
     if hard:
         yield "circle again", Unknowns(1, free), 1.0
     else:
-        for slack in _SLACKS:
-            yield f"slack x {slack:g}", Unknowns(LOOSE, free), slack
+        for number, slack in enumerate(_SLACKS):
+            again = " again" if slack in _SLACKS[:number] else ""
+            yield f"slack x {slack:g}{again}", Unknowns(LOOSE, free), slack
     yield "last", Unknowns(1 if hard else LOOSE, free), 1.0
 
 
@@ -165,7 +167,7 @@ def _adjusted(
         unknowns,
         constraints,
         noise=noise,
-        steps=settings.max_steps,
+        steps=settings.max_steps if name == "last" else min(_COARSE_STEPS, settings.max_steps),
         tolerance=settings.tolerance if name == "last" else _COARSE * settings.tolerance,
         tell=tell,
     )

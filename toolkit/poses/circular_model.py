@@ -112,8 +112,24 @@ class Ring:
             rotations(frames[:, 3:]) @ self.tilt if loose else self.tilt,
             rotations(mounts) @ self.mount,
             tuple(models),
-            self.points + points,
+            _swung(self.points, points),
         )
+
+
+def _swung(points: Array, step: Array) -> Array:
+    """Return points (P, 3) after steps that go around the axis where they go along it on the circle.
+
+    Angles that are off by degrees take the points with them: straight steps would leave the ring.
+    """
+    radius = np.hypot(points[:, 0], points[:, 1])
+    on_axis = radius < 1e-9
+    outward = np.where(on_axis[:, None], [1.0, 0.0], points[:, :2] / np.where(on_axis, 1.0, radius)[:, None])
+    onward = np.stack([-outward[:, 1], outward[:, 0]], axis=1)
+    turn = np.sum(step[:, :2] * onward, axis=1) / np.where(on_axis, np.inf, radius)
+    turned = np.cos(turn)[:, None] * outward + np.sin(turn)[:, None] * onward
+    moved = (radius + np.sum(step[:, :2] * outward, axis=1))[:, None] * turned
+    moved = np.where(on_axis[:, None], points[:, :2] + step[:, :2], moved)
+    return np.column_stack([moved, points[:, 2] + step[:, 2]])
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,9 +29,7 @@ class CircularCamera:
         Their standard deviations were residuals independent of each other, 0 for what was kept; None where the
         pictures leave something open.
     mount_sigma:
-        The same of its orientation on the ring, in degrees, about the worst of its axes. Errors that all pictures
-        share (features that move with the light) are larger: a ring seen under small depth hardly tells a tilt of
-        the camera from distortion.
+        The same of its orientation on the ring, in degrees, about the worst of its axes.
     """
 
     camera_id: int
@@ -68,6 +66,11 @@ class CircularResult:
         (F,) by which orientations are off the common mount, in degrees; zeros in hard mode.
     arc_sigma:
         Standard deviation of the arc in degrees, of independent residuals; None where it is open.
+    orientation_sigma:
+        The same of the frames' orientations in the ring's world: root mean square over frames of the angle between
+        found and true. A lower bound: it counts what the noise of the pixels does. Errors that all pictures share,
+        as of features that move with the light, leave residuals small and can be ten times larger, for a ring seen
+        under small depth hardly tells a tilt of the camera from its lens and from points that slide along the ring.
     closure_gap:
         Where a turn is known: distance between its ends along the circle, as a part of the circumference. Offsets
         of shaking cameras across the circle are no gap. None where no turn is known.
@@ -99,6 +102,7 @@ class CircularResult:
     radial: Array
     tilt_deg: Array
     arc_sigma: float | None
+    orientation_sigma: float | None
     closure_gap: float | None
     seam_points: int
     cameras: tuple[CircularCamera, ...]
@@ -129,6 +133,7 @@ class CircularResult:
             "of_frames": len(self.scene),
             "arc_degrees": self.arc_degrees,
             "arc_sigma": self.arc_sigma,
+            "orientation_sigma": self.orientation_sigma,
             "start_arc_degrees": float(self.start_angles[-1] - self.start_angles[0]),
             "axis": self.axis.tolist(),
             "radius": self.radius,

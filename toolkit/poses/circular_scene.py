@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.poses.circular_constraints import turn_coefficients
-from toolkit.poses.circular_model import Observations, Ring, Unknowns, poses, residuals, rotation_vectors
+from toolkit.poses.circular_model import LOOSE, Observations, Ring, Unknowns, poses, residuals, rotation_vectors
 from toolkit.poses.circular_result import CircularCamera, CircularResult
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.circular_solver import noise_of
@@ -67,6 +67,7 @@ def circular_result(scene: Scene, settings: CircularSettings, found: Adjusted, s
         radial=ring.radial,
         tilt_deg=tilt,
         arc_sigma=sigma,
+        orientation_sigma=_orientation_sigma(found),
         closure_gap=_gap(settings, ring, index) if settings.full_turn else None,
         seam_points=found.seam_points,
         cameras=cameras,
@@ -130,6 +131,27 @@ def _arc_sigma(found: Adjusted) -> float | None:
     return math.degrees(math.sqrt(max(float(block[0, 0] + block[1, 1] - 2 * block[0, 1]), 0.0)))
 
 
+def _orientation_sigma(found: Adjusted) -> float | None:
+    """Return the root mean square in degrees of what angle, mount and tilt of a frame together are off.
+
+    With ``cam_from_world = E M Rz(-a)`` small changes e, m, da of them turn the camera by ``e + E m - E M z da``.
+    """
+    if found.covariance is None:
+        return None
+    ring, wide = found.ring, found.unknowns.of_frame
+    at_mount, total = len(ring.angle) * wide, 0.0
+    for frame, camera in enumerate(found.frames.camera.tolist()):
+        mount = at_mount + 3 * camera
+        columns = [*range(frame * wide, frame * wide + wide), *range(mount, mount + 3)]
+        by = np.zeros((3, len(columns)))
+        by[:, 0] = -(ring.tilt[frame] @ ring.mount[camera])[:, 2]
+        if wide == LOOSE:
+            by[:, 3:LOOSE] = np.eye(3)
+        by[:, wide:] = ring.tilt[frame]
+        total += float(np.trace(by @ found.covariance[np.ix_(columns, columns)] @ by.T))
+    return math.degrees(math.sqrt(total / len(ring.angle)))
+
+
 def _cameras(found: Adjusted) -> tuple[CircularCamera, ...]:
     made = []
     at_mount = len(found.ring.angle) * found.unknowns.of_frame
@@ -189,5 +211,5 @@ def _remarks(result: CircularResult, settings: CircularSettings, registered: int
             f"the arc is known to +- {result.arc_sigma:.1f} degrees only: an open arc needs calibrated cameras"
         )
     if not result.converged:
-        remarks.append("the solver stopped at its last step before it converged: raise max_steps")
+        remarks.append("the solver stopped before it converged: raise max_steps, or look at the order of frames")
     return remarks

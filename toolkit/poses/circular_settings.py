@@ -60,6 +60,13 @@ class CircularSettings(Settings):
         doc="Standard deviation of the scene's principal points: through a long lens one that is off is hardly "
         "told from a camera that is turned.",
     )
+    max_scale = Number(
+        1.5,
+        bounds=(0.0, 1000.0),
+        unit="px",
+        doc="Features of a larger scale are left out, where the recipe knows scales: what is large follows the "
+        "light that travels with the camera, and turns the camera on its mount by degrees; 0: all.",
+    )
     max_error = Number(
         4.0, bounds=(0.1, 100.0), unit="px", doc="Observations with a larger error at the end are removed."
     )
@@ -72,7 +79,12 @@ class CircularSettings(Settings):
         unit="points",
         doc="Most points that take part, those with the longest tracks evenly over the frames; 0: all.",
     )
-    max_steps = Integer(40, bounds=(1, 1000), unit="steps", doc="Most steps of the solver in each of its rounds.")
+    max_steps = Integer(
+        80,
+        bounds=(1, 1000),
+        unit="steps",
+        doc="Most steps of the solver in its last round; others have 12 at most.",
+    )
     tolerance = Number(
         1e-6, bounds=(0.0, 0.01), doc="A round ends when a step lowers the cost by less than this part of it."
     )

@@ -11,6 +11,8 @@ import pycolmap
 from toolkit.poses.adjust import AdjustmentReport
 from toolkit.scene import Scene
 
+_SIZES_TOLD = 4
+
 
 @dataclass(frozen=True, slots=True)
 class CameraChange:
@@ -62,9 +64,29 @@ class SfmResult:
         """Names of the frames without a pose."""
         return tuple(frame.name for frame in self.scene.frames if frame.cam_from_world is None)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is missing in the result, and what may mend it."""
+        left = len(self.not_registered)
+        if not left:
+            return ()
+        if len(self.models) > 1:
+            sizes = ", ".join(str(size) for size in self.models[:_SIZES_TOLD])
+            more = ", ..." if len(self.models) > _SIZES_TOLD else ""
+            return (
+                f"The pictures fall into {len(self.models)} pieces ({sizes}{more} pictures) that no matches join. "
+                f"The largest is the result; {left} of {len(self.scene)} pictures are not in it. More features, a "
+                "larger window of pairs or a lower min_matches may join them; else reconstruct the pieces one by one.",
+            )
+        return (
+            f"{left} of {len(self.scene)} pictures could not be placed. More features, a larger window of pairs or "
+            "a lower min_inliers may place them.",
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON."""
         return {
+            "warnings": list(self.warnings),
             "images": len(self.scene),
             "registered": len(self.scene.registered),
             "registered_names": [frame.name for frame in self.scene.registered],

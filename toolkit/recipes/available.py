@@ -10,6 +10,7 @@ from toolkit.depth.moge_depth import DEFAULT_WEIGHTS as MOGE_WEIGHTS
 from toolkit.depth.settings import DepthSettings
 from toolkit.depth.transformers_depth import DEFAULT_WEIGHTS as DPT_WEIGHTS
 from toolkit.depth.video_depth import DEFAULT_WEIGHTS as VIDEO_WEIGHTS
+from toolkit.recipes.depth_fusion import DepthFusionSettings
 from toolkit.recipes.noposegs import NoposegsSettings
 from toolkit.recipes.slam_noposegs import OrbslamNoposegsSettings
 from toolkit.settings import Settings
@@ -27,13 +28,15 @@ def missing_here(settings: Settings) -> str:
         return _no_package("pyorbslam3")
     if isinstance(settings, NoposegsSettings) and settings.start != "depth":
         return ""
+    if isinstance(settings, DepthFusionSettings):
+        return _no_depth(settings.external.depth, "external.depth")
     depth = getattr(settings, "depth", None)
     return _no_depth(depth) if isinstance(depth, DepthSettings) else ""
 
 
-def _no_depth(depth: DepthSettings) -> str:
+def _no_depth(depth: DepthSettings, group: str = "depth") -> str:
     if depth.provider == "arrays" and not Path(depth.arrays or "\0").is_dir():
-        return "depth maps missing: depth.arrays names no folder"
+        return f"depth maps missing: {group}.arrays names no folder"
     package = _PACKAGES.get(depth.provider)
     if package is None:
         return ""

@@ -10,6 +10,7 @@ from toolkit.matching.pairs import PairSettings
 from toolkit.matching.wrong_pairs import WrongPairSettings
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import SfmSettings
+from toolkit.progress import ProgressEvent
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult, StageTime
 from toolkit.recipes.blades_stages import (
     LensSettings,
@@ -83,7 +84,7 @@ class BladesCircularSettings(BladesSequentialSettings):
 def run(data: RecipeInput, settings: BladesExhaustiveSettings, context: RecipeContext) -> RecipeResult:
     """Find the poses of frames around an axis by structure from motion, and measure the arc that they make."""
     stages, _, _ = _sfm(data, settings, context)
-    return _result(data, settings, stages, {})
+    return _result(data, stages, {}, context)
 
 
 def run_circular(data: RecipeInput, settings: BladesCircularSettings, context: RecipeContext) -> RecipeResult:
@@ -97,7 +98,7 @@ def run_circular(data: RecipeInput, settings: BladesCircularSettings, context: R
         "circle.seam_gap": closed.report["closure_gap"],
         **{f"before.{name}": value for name, value in before.items() if name.startswith("circle.")},
     }
-    return _result(data, settings, (*stages, closed), metrics)
+    return _result(data, (*stages, closed), metrics, context)
 
 
 def _sfm(
@@ -114,14 +115,16 @@ def _sfm(
 
 def _result(
     data: RecipeInput,
-    settings: BladesExhaustiveSettings,
     stages: tuple[CachedStage, ...],
     more: dict[str, float | None],
+    context: RecipeContext,
 ) -> RecipeResult:
     start = time.perf_counter()
     scene = read_scene(stages[-1].folder / SCENE)
     by_name = {stage.time.name: stage for stage in stages}
     sfm = by_name["sfm"].report
+    for warning in sfm["warnings"]:
+        context.progress(ProgressEvent("sfm", 1, 1, warning))
     measured, reports = circle_metrics(scene, data.reference)
     if "circle" not in by_name:  # the adjustment on the circle has a sigma of its own
         measured["circle.arc_sigma_deg"] = sfm["arc"]["sigma"]

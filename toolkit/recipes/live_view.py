@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,28 @@ from toolkit.files import atomic_path, write_json
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.scene import Scene
 
-if TYPE_CHECKING:
-    from toolkit.splat.trainer import Trainer
+
+class Watched(Protocol):
+    """What is looked at of a training of splats (:class:`toolkit.splat.trainer.Trainer`) or a radiance field."""
+
+    @property
+    def state(self) -> Any:
+        """With ``step``, those that are done."""
+
+    @property
+    def settings(self) -> Any:
+        """With ``steps``, those of the whole training."""
+
+    @property
+    def test_photo(self) -> Any:
+        """With ``name`` and ``colours()`` (H, W, 3), or None."""
+
+    def draw_test(self, photo: Any, /) -> tuple[Any, float]:
+        """Return the view of a photo as it is drawn now, and its PSNR in dB."""
+
+    def poses(self) -> dict[str, RigidTransform]:
+        """Return the poses that are refined, by name."""
+
 
 #: Folder among the artifacts, and what is in it.
 LIVE, PHOTO, RENDER, VIEW, POSES = "live", "photo.jpg", "render.jpg", "view.json", "poses.json"
@@ -64,7 +84,7 @@ class LiveView:
         self._due: float | None = None
         self._photo_written = False
 
-    def __call__(self, training: Trainer) -> dict[str, float]:
+    def __call__(self, training: Watched) -> dict[str, float]:
         """Look where it is time to, and after the last step; return ``psnr_live`` of that look, or nothing.
 
         It is the measure that the training itself tells as ``psnr_test`` at fixed steps, which sweeps compare; at
@@ -84,7 +104,7 @@ class LiveView:
         self._due = begun + took + max(self._every, took * (1 / self._share - 1))
         return values
 
-    def _look(self, training: Trainer) -> dict[str, float]:
+    def _look(self, training: Watched) -> dict[str, float]:
         step, photo, values = training.state.step, training.test_photo, {}
         if photo is not None:
             if not self._photo_written:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from toolkit.errors import SettingsError
+from toolkit.nerf.settings import NerfSettings, presets_of
 from toolkit.recipes.base import Recipe
 from toolkit.settings import Settings
 from toolkit.splat.pose_presets import POSE_PRESETS
@@ -18,7 +19,7 @@ AnySettings = TypeVar("AnySettings", bound=Settings)
 def recipe_presets(recipe: Recipe) -> Mapping[str, Preset]:
     """Return the presets that a recipe takes, by name: none where it trains nothing.
 
-    Those of splat training, and where it refines poses those of such trainings, too.
+    Those of splat training, and where it refines poses those of such trainings, too; or those of radiance fields.
     """
     return _presets(recipe.settings_type())
 
@@ -35,7 +36,7 @@ def with_preset(settings: AnySettings, name: str) -> AnySettings:
     if not groups:
         raise SettingsError(
             f"Preset '{name}' changes nothing here",
-            expected="a recipe that trains splats",
+            expected="a recipe that trains splats or a radiance field",
             todo="Leave --preset out, and change settings with --set",
         )
     if name not in known:
@@ -47,11 +48,15 @@ def with_preset(settings: AnySettings, name: str) -> AnySettings:
 
 def _presets(settings: Settings) -> Mapping[str, Preset]:
     groups = [getattr(settings, name) for name in _training_groups(settings)]
+    fields = [group for group in groups if isinstance(group, NerfSettings)]
+    if fields:
+        return {name: Preset(doc, changes) for name, (doc, changes) in presets_of(fields[0]).items()}
     if any(group.refine_poses for group in groups):
         return {**PRESETS, **POSE_PRESETS}
     return PRESETS if groups else {}
 
 
 def _training_groups(settings: Settings) -> list[str]:
-    """Return the names of the groups that hold settings of splat training."""
-    return [name for name in settings.to_dict() if isinstance(getattr(settings, name), TrainSettings)]
+    """Return the names of the groups that hold settings of a training."""
+    kinds = (TrainSettings, NerfSettings)
+    return [name for name in settings.to_dict() if isinstance(getattr(settings, name), kinds)]

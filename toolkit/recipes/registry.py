@@ -13,16 +13,23 @@ def all_recipes() -> dict[str, Recipe]:
     from toolkit.recipes.blades import CIRCULAR, EXHAUSTIVE, SEQUENTIAL
     from toolkit.recipes.cf_3dgs import RECIPE as CF_3DGS
     from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
+    from toolkit.recipes.depth_fusion import RECIPE as DEPTH_FUSION
+    from toolkit.recipes.mvs_poisson import RECIPE as MVS_POISSON
+    from toolkit.recipes.nerf import DS_NERF, NERF
     from toolkit.recipes.noposegs import RECIPE as NOPOSEGS
     from toolkit.recipes.sensor_3dgs import RECIPE as SENSOR_3DGS
     from toolkit.recipes.sensor_depth import SENSOR_DEPTH, SENSOR_DPT, SENSOR_GROUND
     from toolkit.recipes.sensor_fused import RECIPE as SENSOR_FUSED
     from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM
+    from toolkit.recipes.splat_mesh import RECIPE as SPLAT_MESH
 
     recipes = (
         *(COLMAP_3DGS, CF_3DGS, NOPOSEGS, ORBSLAM, ORB_PNP),
         *(SENSOR_DPT, SENSOR_DEPTH, SENSOR_GROUND, SENSOR_3DGS, SENSOR_FUSED),
         *(EXHAUSTIVE, SEQUENTIAL, CIRCULAR),
+        *(NERF, DS_NERF),
+        *(MVS_POISSON, DEPTH_FUSION),
+        SPLAT_MESH,
     )
     return {recipe.name: recipe for recipe in recipes}
 

@@ -13,6 +13,8 @@ from toolkit.runs.folder import RunFolder
 
 #: ``"points"``: the scene's points, from which a splat begins; ``"gaussians"``: the trained centres.
 CloudKind = Literal["points", "gaussians"]
+#: What is drawn beside camera paths; ``"mesh"``: the surface, see :mod:`toolkit.runs.meshes`.
+ShapeKind = Literal["points", "gaussians", "mesh"]
 
 #: Most points of all runs in one drawing.
 MOST_POINTS = 20_000

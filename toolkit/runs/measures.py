@@ -9,9 +9,12 @@ from typing import Literal
 
 Better = Literal["higher", "lower"]
 
-_HIGHER = frozenset({"psnr", "ssim", "registered", "inliers", "recall", "precision", "completeness", "fps"})
+_HIGHER = frozenset({"psnr", "ssim", "registered", "inliers", "recall", "precision", "score", "fps"})
 _LOWER = frozenset(
-    {"lpips", "pos", "rot", "ate", "rpe", "rmse", "mae", "error", "loss", "seconds", "outliers", "mte", "mre"}
+    {
+        *("lpips", "pos", "rot", "ate", "rpe", "rmse", "mae", "error", "loss", "seconds", "outliers", "mte", "mre"),
+        *("accuracy", "completeness", "normal"),  # of surfaces: distances and an angle
+    }
 )
 _PICTURE = frozenset({"psnr", "ssim", "lpips"})
 _WORD = re.compile(r"[a-z0-9]+")

@@ -12,14 +12,17 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError, ToolkitError
+from toolkit.geometry.surface import Mesh
+from toolkit.geometry.triangles import moved
 from toolkit.plots.curves import curve_figure
 from toolkit.plots.times import time_figure
 from toolkit.plots.trajectories import trajectory_figure
 from toolkit.plots.views import view_figure
-from toolkit.runs.clouds import MOST_POINTS, CloudKind, read_cloud
+from toolkit.runs.clouds import MOST_POINTS, CloudKind, ShapeKind, read_cloud
 from toolkit.runs.compare import ComparedRun
 from toolkit.runs.curves import Curve, Curves
 from toolkit.runs.markup import Html, element
+from toolkit.runs.meshes import MOST_FACES, read_run_mesh
 from toolkit.runs.report_views import ViewsByName
 from toolkit.runs.trajectories import AlignedTrajectories, align_trajectories, read_trajectories
 
@@ -134,9 +137,9 @@ def psnr_figure(runs: Sequence[ComparedRun], found: ViewsByName) -> go.Figure | 
 
 
 def aligned_figure(
-    runs: Sequence[ComparedRun], clouds: CloudKind | None = None
+    runs: Sequence[ComparedRun], shapes: ShapeKind | None = None
 ) -> tuple[go.Figure | None, list[str]]:
-    """Return the trajectories in one frame, with points where they are asked for, and remarks.
+    """Return the trajectories in one frame, with points or meshes where they are asked for, and remarks.
 
     There is no figure where no run has a trajectory.
     """
@@ -155,7 +158,12 @@ def aligned_figure(
     # Runs without a trajectory keep their colours for the others to have the same everywhere.
     paths = {item.label: aligned.paths[item.label].poses if item.label in aligned.paths else {} for item in runs}
     reference = aligned.reference.poses if aligned.reference is not None else None
-    points, more = _clouds(runs, aligned, clouds) if clouds else ({}, [])
+    if shapes is None:
+        return trajectory_figure(paths, reference), remarks
+    if shapes == "mesh":
+        meshes, more = _meshes(runs, aligned)
+        return trajectory_figure(paths, reference, meshes=meshes), [*remarks, *more]
+    points, more = _clouds(runs, aligned, shapes)
     return trajectory_figure(paths, reference, clouds=points), [*remarks, *more]
 
 
@@ -174,4 +182,20 @@ def _clouds(
             continue
         found[item.label] = aligned.transforms[item.label].apply(cloud.xyz), cloud.rgb
         remarks.append(f"{item.label}: {len(cloud.xyz):,} of {cloud.total:,} points; far ones are left out.")
+    return found, remarks
+
+
+def _meshes(runs: Sequence[ComparedRun], aligned: AlignedTrajectories) -> tuple[dict[str, Mesh], list[str]]:
+    """Return meshes by label in the common frame, and remarks."""
+    drawn = [item for item in runs if item.label in aligned.transforms]
+    found: dict[str, Mesh] = {}
+    remarks = []
+    for item in drawn:
+        try:
+            mesh, total = read_run_mesh(item.run, most=MOST_FACES // len(drawn))
+        except ToolkitError as error:
+            remarks.append(f"{item.label}: {error}")
+            continue
+        found[item.label] = moved(mesh, aligned.transforms[item.label])
+        remarks.append(f"{item.label}: a mesh of {total:,} faces, drawn with {len(mesh.faces):,}.")
     return found, remarks

@@ -75,7 +75,7 @@ def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progre
         raise StageError(
             f"{folder} is in the way", expected="a new or an empty folder", todo="Choose another or move it away"
         )
-    town = build_town(settings.town, np.random.default_rng([seed, _TOWN]))
+    town = town_of_sample(settings, seed)
     poses = flight_poses(settings.flight, town, np.random.default_rng([seed, _FLIGHT]))
     temporary = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
@@ -96,6 +96,11 @@ def make_sample(folder: Path, settings: SampleSettings, *, seed: int = 0, progre
         if temporary.exists():
             shutil.rmtree(temporary)
     return read_scene(folder)
+
+
+def town_of_sample(settings: SampleSettings, seed: int) -> Town:
+    """Return the town of a sample that was made with ``settings`` and ``seed``."""
+    return build_town(settings.town, np.random.default_rng([seed, _TOWN]))
 
 
 def depth_path(folder: Path, frame: Frame) -> Path:

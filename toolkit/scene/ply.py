@@ -1,7 +1,8 @@
 """PLY files: a strict reader of vertices, and coloured points.
 
 The header is believed only as far as the size of the file confirms it, before anything is allocated. Elements
-after the vertices (faces of a mesh) are not read. Format: Turk, "The PLY Polygon File Format", 1994.
+after the vertices are not read here; :mod:`toolkit.scene.ply_faces` reads faces. Format: Turk, "The PLY Polygon
+File Format", 1994.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _KINDS = {
 }
 _TYPES = {name: kind for kind, names in _KINDS.items() for name in names}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_LONGEST_HEADER = 65536
+LONGEST_HEADER = 65536
 _GREY = 128
 
 
@@ -104,13 +105,17 @@ def write_vertices(table: NDArray[Any], path: Path) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Element:
-    """An element of the header: its rows, its scalar columns, and whether it has lists, too."""
+class Element:
+    """An element of the header: its rows, and the kinds of its properties in order; of lists, ``count:item``."""
 
     name: str
     count: int
     columns: dict[str, str]
-    lists: bool = False
+
+    @property
+    def lists(self) -> bool:
+        """Whether it has lists, whose rows differ in length."""
+        return any(":" in kind for kind in self.columns.values())
 
 
 def read_vertices(path: Path) -> NDArray[Any]:
@@ -125,8 +130,8 @@ def read_vertices(path: Path) -> NDArray[Any]:
     try:
         size = path.stat().st_size
         with path.open("rb") as handle:
-            head = handle.read(_LONGEST_HEADER)
-        order, elements, start = _header(head, path)
+            head = handle.read(LONGEST_HEADER)
+        order, elements, start = read_header(head, path)
         before = elements[: [element.name for element in elements].index("vertex")]
         vertex = elements[len(before)]
         last = len(elements) == len(before) + 1
@@ -137,11 +142,11 @@ def read_vertices(path: Path) -> NDArray[Any]:
             start += element.count * sum(int(kind[1]) for kind in element.columns.values())
         need, left = vertex.count * dtype.itemsize, size - start
         if need > left:
-            raise _cut_off(
+            raise cut_off(
                 path, f"{vertex.count} vertices of {dtype.itemsize} bytes", f"{max(left, 0)} bytes for them"
             )
         if last and need < left:
-            raise _too_long(path, f"{left - need} bytes after the last vertex")
+            raise too_long(path, f"{left - need} bytes after the last vertex")
         return np.fromfile(path, dtype, vertex.count, offset=start)
     except FileNotFoundError as error:
         raise DataError(f"{path} is missing", expected="a PLY file") from error
@@ -149,18 +154,18 @@ def read_vertices(path: Path) -> NDArray[Any]:
         raise DataError(f"Cannot read {path}", expected="a PLY file", found=str(error)) from error
 
 
-def _cut_off(path: Path, expected: str, found: str) -> DataError:
+def cut_off(path: Path, expected: str, found: str) -> DataError:
+    """Return the error of a file that is shorter than it says."""
     return DataError(f"{path} is cut off or lies", expected=expected, found=found, todo="Copy or export it again")
 
 
-def _too_long(path: Path, found: str) -> DataError:
-    return DataError(
-        f"{path} is longer than its header says", expected="nothing after the last vertex", found=found
-    )
+def too_long(path: Path, found: str) -> DataError:
+    """Return the error of a file that goes on after its end."""
+    return DataError(f"{path} is longer than its header says", expected="nothing after the last row", found=found)
 
 
-def _header(head: bytes, path: Path) -> tuple[str, list[_Element], int]:
-    """Return byte order (empty: ASCII), elements, and where the data start."""
+def read_header(head: bytes, path: Path) -> tuple[str, list[Element], int]:
+    """Return byte order (empty: ASCII), elements, and where the data start, from the first bytes of a file."""
     if head[:4] not in (b"ply\n", b"ply\r"):
         raise DataError(f"{path} is no PLY file", expected="'ply' in its first line", found=repr(head[:12]))
     lines: list[str] = []
@@ -168,11 +173,11 @@ def _header(head: bytes, path: Path) -> tuple[str, list[_Element], int]:
     while not lines or lines[-1] != "end_header":
         end = head.find(b"\n", start)
         if end < 0:
-            raise _cut_off(path, f"'end_header' in the first {_LONGEST_HEADER} bytes", "a header without end")
+            raise cut_off(path, f"'end_header' in the first {LONGEST_HEADER} bytes", "a header without end")
         lines.append(head[start:end].decode("utf-8", "replace").strip())
         start = end + 1
     order: str | None = None
-    elements: list[_Element] = []
+    elements: list[Element] = []
     for line in lines[1:-1]:
         words = line.split()
         if not words or words[0] in ("comment", "obj_info"):
@@ -180,7 +185,7 @@ def _header(head: bytes, path: Path) -> tuple[str, list[_Element], int]:
         if words[0] == "format" and order is None and len(words) == 3 and words[1] in _ORDERS:
             order = _ORDERS[words[1]]
         elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and len(words[2]) < 19:
-            elements.append(_Element(words[1], int(words[2]), {}))
+            elements.append(Element(words[1], int(words[2]), {}))
         elif words[0] == "property" and elements:
             elements[-1] = _with_property(elements[-1], words[1:], path)
         else:
@@ -191,12 +196,13 @@ def _header(head: bytes, path: Path) -> tuple[str, list[_Element], int]:
     return order, elements, start
 
 
-def _with_property(element: _Element, words: list[str], path: Path) -> _Element:
+def _with_property(element: Element, words: list[str], path: Path) -> Element:
     name = words[-1] if words else ""
-    if len(words) == 4 and words[0] == "list" and words[1] in _TYPES and words[2] in _TYPES:
-        return _Element(element.name, element.count, element.columns, lists=True)
+    if len(words) == 4 and words[0] == "list" and {*words[1:3]} <= {*_TYPES} and name not in element.columns:
+        kind = f"{_TYPES[words[1]]}:{_TYPES[words[2]]}"
+        return Element(element.name, element.count, {**element.columns, name: kind})
     if len(words) == 2 and words[0] in _TYPES and name not in element.columns:
-        return _Element(element.name, element.count, {**element.columns, name: _TYPES[words[0]]}, element.lists)
+        return Element(element.name, element.count, {**element.columns, name: _TYPES[words[0]]})
     raise DataError(
         f"{path} has an unknown or repeated property in element '{element.name}'",
         expected="a type and a new name",
@@ -204,7 +210,7 @@ def _with_property(element: _Element, words: list[str], path: Path) -> _Element:
     )
 
 
-def _check_elements(elements: list[_Element], path: Path) -> None:
+def _check_elements(elements: list[Element], path: Path) -> None:
     names = [element.name for element in elements]
     if names.count("vertex") != 1:
         raise DataError(
@@ -224,23 +230,23 @@ def _check_elements(elements: list[_Element], path: Path) -> None:
             raise DataError(f"{path} has an element '{element.name}' without properties")
 
 
-def _ascii(path: Path, start: int, before: list[_Element], vertex: _Element, last: bool) -> NDArray[Any]:
+def _ascii(path: Path, start: int, before: list[Element], vertex: Element, last: bool) -> NDArray[Any]:
     body = path.read_bytes()[start:]
     if body and not body.endswith(b"\n"):
         # The last number may have lost digits and still be one.
-        raise _cut_off(path, "a line break after the last line", repr(body[-20:]))
+        raise cut_off(path, "a line break after the last line", repr(body[-20:]))
     rows = [words for words in map(bytes.split, body.split(b"\n")) if words]
     first = sum(element.count for element in before)
     taken = rows[first : first + vertex.count]
     if len(taken) < vertex.count:
-        raise _cut_off(path, f"{vertex.count} lines of vertices", f"{len(taken)}")
+        raise cut_off(path, f"{vertex.count} lines of vertices", f"{len(taken)}")
     if last and len(rows) > first + vertex.count:
-        raise _too_long(path, f"{len(rows) - first - vertex.count} lines")
+        raise too_long(path, f"{len(rows) - first - vertex.count} lines")
     table = np.empty(vertex.count, dtype=list(vertex.columns.items()))
     width = len(vertex.columns)
     for number, words in enumerate(taken):
         if len(words) != width:
-            raise _cut_off(path, f"{width} numbers in each line", f"{len(words)} for vertex {number}")
+            raise cut_off(path, f"{width} numbers in each line", f"{len(words)} for vertex {number}")
     try:
         values = np.array([[float(word) for word in words] for words in taken]).reshape(-1, width)
     except ValueError as error:

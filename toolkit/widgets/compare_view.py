@@ -11,7 +11,7 @@ import param
 
 from toolkit.errors import ToolkitError
 from toolkit.plots.style import shown
-from toolkit.runs.clouds import CloudKind
+from toolkit.runs.clouds import ShapeKind
 from toolkit.runs.compare import Comparison, compare_runs
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.markup import element
@@ -33,7 +33,7 @@ from toolkit.widgets.style import html_pane, notes, plot_pane, show_figure, show
 # Wide enough to be zoomed: only one test picture is shown at a time.
 _PICTURE_WIDTH = 1440
 _MODES = {"slide": "Slide", "photo": "Photo", "render": "Render", "error": "Error map"}
-_CLOUDS = {"none": "", "initial points": "points", "centres of Gaussians": "gaussians"}
+_SHAPES = {"none": "", "initial points": "points", "centres of Gaussians": "gaussians", "mesh": "mesh"}
 #: Rows of the list of test pictures.
 _MOST_ROWS = 8
 
@@ -68,7 +68,7 @@ class CompareView(pn.viewable.Viewer):
         self._layout = self._arranged()
         self._view_choice.param.watch(lambda event: setattr(self, "view", event.new or ""), "value")
         self._view_chart.param.watch(self._clicked, "click_data")
-        self._clouds.param.watch(lambda event: self._draw_paths(), "value")
+        self._shapes.param.watch(lambda event: self._draw_paths(), "value")
         self._axis.param.watch(lambda event: self._draw_curves(), "value")
         self._mode.param.watch(lambda event: setattr(self._card, "mode", event.new), "value")
 
@@ -119,7 +119,9 @@ class CompareView(pn.viewable.Viewer):
         self._curve_panes: list[pn.pane.Plotly] = []
         self._curve_box = pn.FlexBox(sizing_mode="stretch_width", gap="14px", margin=0)
         self._paths, self._path_remarks = plot_pane(), html_pane()
-        self._clouds = pn.widgets.Select(label="Points", options=_CLOUDS, value="", width=220, margin=(0, 12, 8, 0))
+        self._shapes = pn.widgets.Select(
+            label="Points or mesh", options=_SHAPES, value="", width=220, margin=(0, 12, 8, 0)
+        )
         self._times, self._time_table = plot_pane(), html_pane()
 
     def _arranged(self) -> pn.Column:
@@ -134,7 +136,7 @@ class CompareView(pn.viewable.Viewer):
             ),
         )
         self._curve_section = _section("Curves", self._curve_remarks, self._axis, self._curve_box)
-        self._path_section = _section("Camera paths", self._clouds, self._path_remarks, self._paths)
+        self._path_section = _section("Camera paths", self._shapes, self._path_remarks, self._paths)
         self._time_section = _section("Time by stage", self._times, pn.Spacer(height=14), self._time_table)
         tables = pn.FlexBox(_half(self._measures), _half(self._settings), gap="20px", sizing_mode="stretch_width")
         lower = pn.FlexBox(
@@ -205,7 +207,7 @@ class CompareView(pn.viewable.Viewer):
 
     def _draw_paths(self) -> None:
         runs = self.comparison.runs if self.comparison else ()
-        kind = next((kind for kind in get_args(CloudKind) if kind == self._clouds.value), None)
+        kind = next((kind for kind in get_args(ShapeKind) if kind == self._shapes.value), None)
         paths, remarks = aligned_figure(runs, kind)
         show_figure(self._paths, paths, dark=self._dark)
         show_html(self._path_remarks, notes(remarks))

@@ -14,6 +14,7 @@ from PIL import Image
 from toolkit.errors import ToolkitError
 from toolkit.optional import require
 from toolkit.recipes.base import TestView
+from toolkit.runs.clouds import ShapeKind
 from toolkit.runs.compare import ComparedRun, Comparison, compare_runs
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.index import list_runs
@@ -25,6 +26,12 @@ from toolkit.runs.report_views import views_by_name
 
 _NEWEST = 2
 _HEIGHT = 8
+_SHAPES: list[tuple[str, ShapeKind | None]] = [
+    ("camera paths", None),
+    ("initial points", "points"),
+    ("centres of Gaussians", "gaussians"),
+    ("mesh", "mesh"),
+]
 
 
 class CompareBox:
@@ -71,12 +78,20 @@ class CompareBox:
             50, min=0, max=100, description="Photo %", tooltip="How much of the photo is laid over the render."
         )
         self.pictures = widgets.HBox()
+        self.shape = widgets.Dropdown(
+            options=_SHAPES, description="3D shows", tooltip="What is drawn with the paths."
+        )
         self._tables, self._figures = widgets.HTML(), widgets.VBox()
+        self._paths, self._path_remarks = widgets.VBox(), widgets.HTML()
         self.pick.observe(lambda change: self._compare(), "value")
         self.view.observe(lambda change: self._show_pictures(), "value")
         self.split.observe(lambda change: self._show_pictures(), "value")
+        self.shape.observe(lambda change: self._show_paths(), "value")
         self.box = widgets.VBox(
-            [self.pick, self._tables, self._figures, widgets.HBox([self.view, self.split]), self.pictures]
+            [
+                *(self.pick, self._tables, self._figures, self.shape, self._path_remarks, self._paths),
+                *(widgets.HBox([self.view, self.split]), self.pictures),
+            ]
         )
         self._compare()
 
@@ -99,6 +114,7 @@ class CompareBox:
             self._pictures = {
                 name: [(run, views[name]) for run, views in of_runs if name in views] for name in found.names
             }
+        self._show_paths()
         self.view.options = list(self._pictures)
         self.view.value = next(iter(self._pictures), None)  # the worst one
         self._show_pictures()
@@ -116,8 +132,13 @@ class CompareBox:
 
     def _show_figures(self, comparison: Comparison) -> None:
         figures = [curve.by_axis["step"] for curve in curve_figures(comparison.runs)[0]]
-        paths, _ = aligned_figure(comparison.runs)
-        self._figures.children = [go.FigureWidget(drawn) for drawn in (*figures, paths) if drawn is not None]
+        self._figures.children = [go.FigureWidget(drawn) for drawn in figures]
+
+    def _show_paths(self) -> None:
+        """Show the cameras' paths, with points or the mesh where one is chosen."""
+        paths, remarks = aligned_figure(self.comparison.runs if self.comparison else (), self.shape.value)
+        self._paths.children = () if paths is None else (go.FigureWidget(paths),)
+        self._path_remarks.value = str(warning_list(remarks if self.shape.value else ()) or "")
 
     def _show_pictures(self) -> None:
         children = []
