@@ -76,7 +76,7 @@ class SfmResult:
             return (
                 f"The pictures fall into {len(self.models)} pieces ({sizes}{more} pictures) that no matches join. "
                 f"The largest is the result; {left} of {len(self.scene)} pictures are not in it. More features, a "
-                "larger window of pairs or a lower min_matches may join them; else reconstruct the pieces one by one.",
+                "larger window of pairs or a lower min_matches may join them; else reconstruct each by itself.",
             )
         return (
             f"{left} of {len(self.scene)} pictures could not be placed. More features, a larger window of pairs or "
