@@ -17,14 +17,18 @@ from toolkit.matching.feature_choice import FeatureSettings, extract_features, m
 from toolkit.matching.match import MatchReport
 from toolkit.matching.pairs import PairSettings, choose_pairs
 from toolkit.metrics.circle import fit_circle
+from toolkit.poses.blade_edges import EdgeSettings, find_edges, straight_ones
 from toolkit.poses.camera_start import counted_as_measured, plain_cameras, with_cameras
+from toolkit.poses.edge_adjust import EdgeAdjustment, adjust_with_edges
 from toolkit.poses.sfm import incremental_sfm
 from toolkit.poses.sfm_result import SfmResult
-from toolkit.poses.two_step import one_step
+from toolkit.poses.two_step import PassResult, one_step
 from toolkit.recipes.blades import faint_features, small_step_sfm
 from toolkit.runs.blades_table import START_FOCAL
 from toolkit.samples.engine import EngineSample, EngineSettings, make_engine
 from toolkit.scene import Scene
+from toolkit.scene.colmap import colmap_camera
+from toolkit.scene.pictures import load_grey
 
 KNOWN = {"refine_focal": False, "refine_distortion": False, "refine_principal_point": False}
 
@@ -61,9 +65,24 @@ def unknown_lens(scene: Scene) -> Scene:
     return with_cameras(scene, counted_as_measured(plain, False))
 
 
-def with_lens_found(scene: Scene, database: Path, work: Path) -> Scene:
+def with_lens_found(scene: Scene, database: Path, work: Path) -> PassResult:
     """Reconstruct with an OPENCV_FISHEYE that is found with the poses and starts undistorted."""
-    return one_step(scene, database, "OPENCV_FISHEYE", small_step_sfm(), work_dir=work).scene
+    return one_step(scene, database, "OPENCV_FISHEYE", small_step_sfm(), work_dir=work)
+
+
+def with_edges(found: PassResult, sample: EngineSample, every: int = 12) -> EdgeAdjustment:
+    """Let straight edges of every twelfth frame take part in the adjustment."""
+    scene = found.scene
+    lens = colmap_camera(scene, scene.frames[0].camera_id).to_pycolmap()
+    edges = []
+    for frame in scene.registered[::every]:
+        picture = load_grey(scene.image_path(frame))
+        edges += find_edges(picture, EdgeSettings(), mask=~sample.static_mask)
+    return adjust_with_edges(
+        scene,
+        straight_ones(lens, edges),
+        refine_principal_point=found.sfm.adjustment.principal_point == "refined",
+    )
 
 
 def reconstruct(

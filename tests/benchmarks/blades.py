@@ -30,6 +30,7 @@ from blade_footage import (
     row,
     told,
     unknown_lens,
+    with_edges,
     with_lens_found,
     wrong_pairs,
 )
@@ -40,6 +41,7 @@ from toolkit.matching.pairs import PairSettings
 from toolkit.matching.wrong_pairs import WrongPairSettings, drop_pairs, find_wrong_pairs
 from toolkit.metrics.circle import circle_errors, fit_circle
 from toolkit.metrics.trajectory import trajectory_errors
+from toolkit.poses.arc_sigma import ArcSigma
 from toolkit.poses.circular import close_circle
 from toolkit.poses.circular_result import CircularResult
 from toolkit.poses.circular_scale import fine_tracks
@@ -124,9 +126,13 @@ def measure_segments(work: Path) -> None:
             "start (deg)",
             "placed",
             "arc (deg)",
+            "+- (deg)",
+            "with edges (deg)",
+            "+- (deg)",
             "radius spread",
             "out of plane",
             "size, last to first",
+            "with edges",
         ),
     )
     for shake in (0.05, 1.0):
@@ -135,17 +141,27 @@ def measure_segments(work: Path) -> None:
             pairs = PairSettings(method="sequential", overlap=sample.window, quadratic=False)
             scene = unknown_lens(masked(sample, work))
             database = reconstruct(scene, work / "segment", pairs, sfm=False).database
-            found = with_lens_found(scene, database, work / "segment")
-            fit = fit_circle(found.centres())
+            made = with_lens_found(scene, database, work / "segment")
+            edged = with_edges(made, sample)
+            found, fit = made.scene, fit_circle(made.scene.centres())
             row(
                 f"{shake:g}",
                 f"{start:g}",
                 f"{len(found.registered)} of {len(found)}",
                 f"{fit.arc_degrees:.1f}",
+                sigma_of(edged.before),
+                f"{edged.after.arc_degrees:.1f}",
+                sigma_of(edged.after),
                 f"{fit.radius_spread:.4f}",
                 f"{fit.out_of_plane_rms:.4f}",
                 f"{size_drift(found, sample.scene):.3f}",
+                f"{size_drift(edged.scene, sample.scene):.3f}",
             )
+
+
+def sigma_of(arc: ArcSigma) -> str:
+    """Return the standard deviation of an arc."""
+    return "not known" if arc.sigma is None else f"{arc.sigma:.2f}"
 
 
 def size_drift(found: Scene, truth: Scene) -> float:
@@ -181,10 +197,11 @@ def measure_circle(work: Path) -> None:
         if kept:
             found = incremental_sfm(scene, database, small_step_sfm().replace(kept), work_dir=folder).scene
         else:
-            found = with_lens_found(scene, database, folder)
+            found = with_lens_found(scene, database, folder).scene
         _circle_row(f"sfm, {name}", found, None, sample, time.perf_counter() - start)
         joined = seam_tracks(found, seam_matches(found, database)).scene
-        for scale in (0.0, CircularSettings().max_scale):
+        fine_ones = CircularSettings().max_scale
+        for scale in (fine_ones,) if kept else (0.0, fine_ones):
             start = time.perf_counter()
             fine = fine_tracks(joined, database, scale).scene
             result = close_circle(fine, CircularSettings(full_turn=not closed).replace(kept))

@@ -164,7 +164,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             f"{path} cannot be read as a video",
             expected="a video file that is whole",
             found=str(error),
-            todo="Copy it again from the drone: a recording or copy that was cut off often lacks its index",
+            todo="Copy it again from the camera: a recording or copy that was cut off often lacks its index",
         ) from error
     with container:
         if not container.streams.video:
@@ -176,7 +176,7 @@ def _cut_off(path: Path, read: int, frames: int, found: str) -> DataError:
     return DataError(
         f"Video {path} is cut off or damaged: {read} {f'of {frames} ' if frames else ''}frames could be read",
         found=found,
-        todo="Copy it again from the drone",
+        todo="Copy it again from the camera",
     )
 
 
