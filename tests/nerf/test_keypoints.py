@@ -99,3 +99,15 @@ def test_what_is_missing_is_said(make_plane: Callable[..., Scene]) -> None:
     once = Tracks(tracks.point[tracks.frame == 0], tracks.frame[tracks.frame == 0], tracks.pixel[tracks.frame == 0])
     with pytest.raises(StageError, match="none of them seen twice"):
         keypoint_rays(scene.replace(points=Points(scene.points.xyz, scene.points.rgb, tracks=once)), 1.0)
+
+
+def test_as_the_paper_writes_it_an_uncertain_point_weighs_more() -> None:
+    edges = torch.linspace(0, 4, 4001, dtype=torch.float64)[None].repeat(2, 1)
+    weights = torch.full((2, 4000), 1 / 4000, dtype=torch.float64)
+    distance, sigma = torch.tensor([2.0, 2.0]).double(), torch.tensor([0.1, 0.2]).double()
+    plain = depth_loss(weights, edges, distance, sigma)
+    written = depth_loss(weights, edges, distance, sigma, unit=0.5)
+    # The integral of the Gaussian is sigma sqrt(2 pi), measured in units of 0.5; the sum has a thousand steps.
+    integral = sigma * (2 * torch.pi) ** 0.5 / 0.5
+    torch.testing.assert_close(written, plain * integral, rtol=1e-6, atol=0)
+    assert written[1] == pytest.approx(2 * float(written[0]), rel=1e-6)

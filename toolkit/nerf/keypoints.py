@@ -148,15 +148,18 @@ def _widest_angles(point: NDArray[np.int64], directions: Array, points: int) -> 
     return np.clip(angles, _LEAST_ANGLE, np.pi / 2)
 
 
-def depth_loss(weights: Tensor, edges: Tensor, distances: Tensor, sigmas: Tensor) -> Tensor:
+def depth_loss(
+    weights: Tensor, edges: Tensor, distances: Tensor, sigmas: Tensor, *, unit: float | None = None
+) -> Tensor:
     """Return how far the ends of rays are from keypoints' depths: the divergence of Deng et al. 2022, section 3.2.
 
     KL[N(D, sigma) || h], with h the distribution of where a ray ends, is up to a constant
 
         - sum_k log(w_k) exp(-(t_k - D)^2 / (2 sigma^2)) dt_k / sum_k exp(-(t_k - D)^2 / (2 sigma^2)) dt_k
 
-    over the intervals k with weights w_k and lengths dt_k. This is the paper's equation 8 with the Gaussian
-    normalised: there its integral, and so the weight of a point in the loss, grows with its uncertainty.
+    over the intervals k with weights w_k and lengths dt_k. With ``unit`` the divisor is left out, as in the paper's
+    equation 8: then the integral of the Gaussian, and so the weight of a point in the loss, grows with its
+    uncertainty, and what a weight of the loss means depends on the unit of length.
 
     Parameters
     ----------
@@ -166,6 +169,8 @@ def depth_loss(weights: Tensor, edges: Tensor, distances: Tensor, sigmas: Tensor
         (R, K + 1) distances of their ends; t_k lies in the middle between two.
     distances, sigmas:
         (R,) of the keypoints.
+    unit:
+        Scene units of the length in which the paper's form measures; None: the normalised form.
 
     Returns
     -------
@@ -175,7 +180,7 @@ def depth_loss(weights: Tensor, edges: Tensor, distances: Tensor, sigmas: Tensor
     middle = (edges[:, 1:] + edges[:, :-1]) / 2
     deviation = (middle - distances[:, None]) / sigmas[:, None]
     share = torch.exp(-0.5 * deviation**2) * (edges[:, 1:] - edges[:, :-1])
-    share = share / share.sum(dim=1, keepdim=True).clamp(min=1e-20)
+    share = share / (share.sum(dim=1, keepdim=True).clamp(min=1e-20) if unit is None else unit)
     return -(share * torch.log(weights + _LEAST_WEIGHT)).sum(dim=1)
 
 

@@ -86,6 +86,11 @@ class NerfSettings(Settings):
         unit="px",
         doc="Least error of an observation: where it is smaller, this is taken for the spread of its depth.",
     )
+    depth_normalised = Boolean(
+        True,
+        doc="Every point's Gaussian has the integral one; no: equation 8 of DS-NeRF as it stands, in which "
+        "uncertain points weigh more.",
+    )
     warm_start = Text("", doc="Weights to start from: field.safetensors of another run, or its folder.")
     eval_every = Integer(500, bounds=(1, 10_000_000), unit="steps", doc="Measure one test photo so often.")
     checkpoint_every = Integer(500, bounds=(1, 10_000_000), unit="steps", doc="Write a checkpoint so often.")
@@ -127,6 +132,7 @@ _DS_NERF: dict[str, Any] = {
     **_NERF_PL,
     "fine_samples": 0,
     "depth_rays": 1024,
+    "depth_normalised": False,
     "steps": 50_000,
     "steps_count": "per-40-frames",
     "lr_factor": 0.1 ** (1 / 250),

@@ -139,7 +139,8 @@ class NerfTrainer:
         extra = extra_edges(rays.distances, rays.sigmas)
         seen, coarse = caster.look(rays.origins, rays.directions, state.generator, extra, colours=False)
         looks = [seen] if coarse is None else [seen, coarse]
-        losses = [depth_loss(look.weights, look.edges, rays.distances, rays.sigmas) for look in looks]
+        unit = None if settings.depth_normalised else state.field.space.unit
+        losses = [depth_loss(look.weights, look.edges, rays.distances, rays.sigmas, unit=unit) for look in looks]
         return (rays.weights * torch.stack(losses).sum(dim=0)).mean()
 
     def draw_test(self, photo: NerfPhoto) -> tuple[Tensor, float]:

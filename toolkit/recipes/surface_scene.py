@@ -7,13 +7,13 @@ from typing import Any
 
 from toolkit import matching, poses
 from toolkit.errors import StageError
-from toolkit.matching.feature_choice import FeatureSettings
 from toolkit.matching.features import SiftSettings
 from toolkit.matching.match import MatchSettings
 from toolkit.matching.pairs import PairSettings
 from toolkit.poses.sfm import SfmSettings
 from toolkit.poses.slam.points import SlamPointSettings, slam_points
 from toolkit.recipes.base import RecipeContext, RecipeInput
+from toolkit.recipes.blades import faint_features, small_step_sfm
 from toolkit.recipes.blades_stages import (
     LensSettings,
     MaskSettings,
@@ -42,9 +42,9 @@ class BladesWaySettings(Settings):
     """Neighbouring frames of a video around an axis."""
 
     lens = Group(LensSettings(), doc="What is known of the lens")
-    features = Group(FeatureSettings().replace({"sift.peak_threshold": 0.003}), doc="Features")
+    features = Group(faint_features(), doc="Features")
     pairs = Group(PairSettings(method="sequential", overlap=15, quadratic=False), doc="Which frames are matched")
-    sfm = Group(SfmSettings(init_min_angle=2.0, init_min_inliers=40, min_inliers=12), doc="Structure from motion")
+    sfm = Group(small_step_sfm(), doc="Structure from motion")
 
 
 class SurfaceSceneSettings(Settings):
