@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from painted_plane import colours
 from PIL import Image
 
 from toolkit.geometry.cameras import ColmapCamera
@@ -34,11 +34,6 @@ SMALL = {
     "eval_every": 3,
     "checkpoint_every": 100,
 }
-
-
-def colours(xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the plane's colours (n, 3), 0 to 1, at places (n, 2)."""
-    return 0.5 + 0.4 * np.stack([np.sin(5 * xy[:, 0]), np.cos(4 * xy[:, 1]), np.sin(3 * xy.sum(axis=1))], axis=1)
 
 
 def plane_scene(folder: Path, *, frames: int = 6, points: int = 150, camera: ColmapCamera | None = None) -> Scene:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from painted_plane import colours as colours_of_plane
 from PIL import Image
 
 from toolkit.errors import DataError, StageError
@@ -31,9 +32,7 @@ def test_rays_and_colours_belong_together(plane: Scene) -> None:
     photos = load_photos(plane, plane.of_split("train"), 100)
     origins, directions, colours = PixelPool(photos).draw(500, torch.Generator().manual_seed(0))
     places = origins + directions * (-origins[:, 2:] / directions[:, 2:])
-    from conftest import colours as painted
-
-    wanted = painted(places[:, :2].double().numpy())
+    wanted = colours_of_plane(places[:, :2].double().numpy())
     assert np.abs(colours.numpy() - wanted).max() < 0.003  # half a grey level, and single precision
     assert float((directions.norm(dim=1) - 1).abs().max()) < 1e-5
 
@@ -64,9 +63,7 @@ def test_fish_eye_pictures_need_no_undistortion(make_plane: Callable[..., Scene]
     photos = load_photos(scene, scene.of_split("train"), 100)
     origins, directions, colours = PixelPool(photos).draw(300, torch.Generator().manual_seed(1))
     places = origins + directions * (-origins[:, 2:] / directions[:, 2:])
-    from conftest import colours as painted
-
-    assert np.abs(colours.numpy() - painted(places[:, :2].double().numpy())).max() < 0.003
+    assert np.abs(colours.numpy() - colours_of_plane(places[:, :2].double().numpy())).max() < 0.003
 
 
 def test_one_view_is_not_enough(plane: Scene) -> None:
