@@ -116,6 +116,10 @@ def wrong_pairs(sample: EngineSample, found: Found) -> NDArray[np.bool_]:
     return np.array(verdicts, dtype=bool)
 
 
+# What is seen of blades far off, between the near ones, is a handful of points that mean nothing.
+_LEAST_POINTS = 30
+
+
 def blades_apart(sample: EngineSample, scene: Scene) -> tuple[int, int]:
     """Return how many blades stand apart in a reconstruction, and how many it has points of."""
     points = scene.points
@@ -131,22 +135,27 @@ def blades_apart(sample: EngineSample, scene: Scene) -> tuple[int, int]:
         surface = sample.surface(int(number), pixels[rows])
         blade[points.tracks.point[first[rows]]] = surface.blades
         truth[points.tracks.point[first[rows]]] = surface.points
-    kept = [b for b in np.unique(blade) if b >= 0 and (blade == b).sum() >= 10]
-    found, true = ([_middle(xyz[blade == b]) for b in kept] for xyz in (points.xyz, truth))
-    alone = [
-        all(_apart(found[a], found[b]) >= 0.5 * _apart(true[a], true[b]) for b in range(len(kept)) if b != a)
-        for a in range(len(kept))
+    kept = [b for b in np.unique(blade) if b >= 0 and (blade == b).sum() >= _LEAST_POINTS]
+    if not kept:
+        return 0, 0
+    found, size = _middles(points.xyz, blade, kept)
+    true, true_size = _middles(truth, blade, kept)
+    # Of one blade with points of others the size is anything; of most it gives the scale.
+    least = 0.5 * float(np.median(size / true_size)) * true
+    np.fill_diagonal(least, -1.0)
+    return int((found >= least).all(axis=1).sum()), len(kept)
+
+
+def _middles(
+    xyz: NDArray[np.float64], blade: NDArray[np.int64], kept: list[int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return distances (B, B) between the middles of blades, and their sizes (B,)."""
+    middles = np.array([np.nanmedian(xyz[blade == b], axis=0) for b in kept])
+    sizes = [
+        np.nanmedian(np.linalg.norm(xyz[blade == b] - middle, axis=1))
+        for b, middle in zip(kept, middles, strict=True)
     ]
-    return sum(alone), len(kept)
-
-
-def _middle(xyz: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    middle = np.nanmedian(xyz, axis=0)
-    return middle, float(np.nanmedian(np.linalg.norm(xyz - middle, axis=1)))
-
-
-def _apart(one: tuple[NDArray[np.float64], float], other: tuple[NDArray[np.float64], float]) -> float:
-    return float(np.linalg.norm(one[0] - other[0])) / max(one[1], other[1])
+    return np.linalg.norm(middles[:, None] - middles[None], axis=2), np.array(sizes)
 
 
 def arc_of(scene: Scene) -> str:

@@ -5,8 +5,8 @@ tables of docs/blades.md, all of them where none is named. The footage is made o
 ``toolkit table blades-camera-models`` makes that of camera models, ``temple_ring.py`` that of real pictures.
 
 Truth: a verified pair is wrong where fewer than half of its inliers show the same place of the same blade. A blade
-stands apart where the middle of its points is at least half as far from that of every other blade, measured in the
-size of a blade's own points, as it is in truth.
+of 30 points or more stands apart where their middle is at least half as far from that of every other such blade as
+it is in truth, at the scale that most blades have.
 """
 
 from __future__ import annotations
