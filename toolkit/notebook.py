@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from toolkit.poses.camera_comparison import ModelComparison
+    from toolkit.runs.folder import RunFolder
     from toolkit.samples.engine import EngineSettings
     from toolkit.samples.make import SampleSettings
     from toolkit.scene import Scene
@@ -143,3 +144,48 @@ def measures_text(columns: Mapping[str, Mapping[str, float | None]]) -> str:
         return "Nothing was measured: the data have no reference."
     rows = [[name, *(format_number(column.get(name)) for column in columns.values())] for name in names]
     return table([["", *columns], *rows], right=True)
+
+
+#: Name in a table, metric, factor.
+_SURFACE = (
+    ("PSNR [dB]", "test.psnr", 1.0),
+    ("SSIM", "test.ssim", 1.0),
+    ("depth error, median [mm]", "depth.median", 1e3),
+    ("depth error, mean [mm]", "depth.mean", 1e3),
+    ("accuracy [mm]", "mesh.accuracy", 1e3),
+    ("completeness [mm]", "mesh.completeness", 1e3),
+    ("F-score [%]", "mesh.f_score", 100.0),
+    ("threshold of it [mm]", "mesh.threshold", 1e3),
+    ("normals [°]", "mesh.normal_angle_deg", 1.0),
+    ("faces", "mesh.faces", 1.0),
+)
+
+
+def surface_measures(run: RunFolder) -> dict[str, float | None]:
+    """Return what a run with a surface measured, lengths in millimetres, and its time without measuring."""
+    result = run.result()
+    known = ((title, result.metrics.get(name), factor) for title, name, factor in _SURFACE)
+    measures = {title: None if value is None else factor * value for title, value, factor in known}
+    spent = sum(time.seconds for time in result.times if not time.name.startswith("measure"))
+    return {**measures, "time [s]": round(spent)}
+
+
+def best_text(columns: Mapping[str, Mapping[str, float | None]], better: Mapping[str, str]) -> str:
+    """Return for each measure which column is best, and which comes next: a line each.
+
+    Parameters
+    ----------
+    columns:
+        As :func:`measures_text` takes them.
+    better:
+        ``"lower"`` or ``"higher"`` by the name of the measure.
+    """
+    from toolkit.runs.measures import format_number
+
+    lines = []
+    for name, way in better.items():
+        known = {label: value for label, column in columns.items() if (value := column.get(name)) is not None}
+        ranked = sorted(known, key=lambda label: known[label], reverse=way == "higher")
+        told = [f"{label} ({format_number(known[label])})" for label in ranked]
+        lines.append(f"{name}: " + (", then ".join(told[:2]) if told else "not measured"))
+    return "\n".join(lines)

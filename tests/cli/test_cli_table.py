@@ -6,16 +6,17 @@ import dataclasses
 from pathlib import Path
 
 import pytest
-from fake_recipe import RECIPE, write_photos
+from fake_recipe import RECIPE, FakeSettings, write_photos
 
 from toolkit.cli import main
 from toolkit.errors import Cancelled
 from toolkit.files import write_json
 from toolkit.progress import ProgressEvent
 from toolkit.recipes import registry
+from toolkit.recipes.nerf import NERF
 from toolkit.runs import paper_runs
 from toolkit.runs.index import list_runs
-from toolkit.samples import drone_flights
+from toolkit.samples import drone_flights, engine
 from toolkit.samples.data_set import MARKER
 from toolkit.samples.registry import find_data_set
 
@@ -120,3 +121,27 @@ def test_a_stopped_table_says_so(
     assert main(["table", "a-3dgs", "--data", str(photos), "--rows", NAME, *places]) == 130
     assert "stopped: enough" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_tables_of_radiance_fields_are_made_of_segments_of_a_film(
+    tmp_path: Path, places: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quick = dataclasses.replace(NERF, run=lambda data, _, context: RECIPE.run(data, FakeSettings(), context))
+    monkeypatch.setattr(registry, "all_recipes", lambda: {"nerf": quick})
+    tiny = {"film.samples": 1, "film.step": 0.5, "borescope.image_width": 48, "borescope.image_height": 36}
+    film = engine.make_engine(tmp_path / "film", engine.EngineSettings().replace({**tiny, "film.frames": 40}))
+    command = ["table", "blades-nerf", "--data", str(film.folder), "--stride", "8", *places]
+    assert main([*command, "--rows", "nerf-40", "nerf-80", "ds-nerf-40"]) == 0
+    said = capsys.readouterr().out
+    assert "every 8th frame of them taken" in said
+    # Half a blade, 19 frames, holds two of every eighth.
+    assert "from each picture and the 2 that follow it" in said
+    lines = [line for line in said.splitlines() if line.startswith("| ")]
+    assert lines[1].startswith("| NeRF, 40 frames | ")
+    assert lines[1].endswith(" | 36.2, 0.9414, 0.1321 |")
+    assert lines[2].startswith("| NeRF, 80 frames | not applicable: the film has 40 frames |")
+    assert lines[4].startswith("| DS-NeRF, 40 frames, weight 0.1 | not there: no recipe 'ds-nerf' |")
+    assert len(list_runs(tmp_path / "runs")) == 1
+    assert (tmp_path / "out" / "tables2and3.md").is_file()
+    assert main([*command, "--stride", "0"]) == 2
+    assert "A stride must be positive" in capsys.readouterr().err

@@ -14,7 +14,7 @@ from toolkit.geometry.ray_casting import MeshCaster
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.geometry.surface import Cloud, Mesh
 from toolkit.geometry.triangles import face_areas, sample_surface, vertex_normals
-from toolkit.metrics.geometry import compare_surfaces, depth_errors
+from toolkit.metrics.geometry import compare_surfaces
 
 
 def test_spheres_of_radius_one_and_a_hundredth_more_are_a_hundredth_apart() -> None:
@@ -145,20 +145,6 @@ def test_depth_by_casting_is_that_of_the_sphere() -> None:
         assert not depth[inside.reshape(120, 160) < -0.05].any()
 
 
-def test_depth_errors_are_over_the_pixels_that_both_know() -> None:
-    truth = np.array([[1.0, 2.0, 4.0], [0.0, 5.0, np.nan]])
-    found = np.array([[1.1, 2.0, 0.0], [3.0, 10.0, 1.0]])
-    errors = depth_errors(found, truth)
-    assert errors.pixels == 3
-    assert errors.coverage == 3 / 4
-    assert errors.mean == pytest.approx(5.1 / 3)
-    assert errors.median == pytest.approx(0.1)
-    assert errors.rms == pytest.approx(np.sqrt((0.01 + 25) / 3))
-    assert errors.relative == pytest.approx((0.1 + 1.0) / 3)
-    assert errors.within == pytest.approx(2 / 3)
-    assert json.loads(json.dumps(errors.to_dict()))["pixels"] == 3
-
-
 def test_what_cannot_be_compared_is_told() -> None:
     empty = Mesh(np.zeros((3, 3)), np.zeros((0, 3), np.int32))
     with pytest.raises(DataError, match="without faces meets no ray"):
@@ -177,7 +163,3 @@ def test_what_cannot_be_compared_is_told() -> None:
     near = RigidTransform.look_at((0.0, 0.0, 4.0), (0.0, 0.0, 0.0))
     with pytest.raises(StageError, match="Nothing that was found is where the truth can be told"):
         compare_surfaces(ball(0.1, (50.0, 0, 0)), ball(), seen_from=[(CAMERA, near)], samples=100)
-    with pytest.raises(DataError, match="Depth maps differ in size"):
-        depth_errors(np.ones((2, 2)), np.ones((2, 3)))
-    with pytest.raises(StageError, match="cannot be compared; .*found 1 with a true one, none of them found"):
-        depth_errors(np.zeros((1, 2)), np.array([[1.0, 0.0]]))

@@ -5,19 +5,24 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from toolkit.cli.common import add, with_bar
 from toolkit.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from toolkit.progress import Progress
+    from toolkit.runs.nerf_table import NerfRow
     from toolkit.runs.paper_rows import PaperRow
     from toolkit.samples.drone_flights import OrbitVideoSettings
 
+Row = TypeVar("Row", "PaperRow", "NerfRow")
+
 #: Data sets of photographs that the table takes where they are on this machine.
 _PHOTOS = ("uav_brighton_beach", "uav_sheffield_cross")
-_BLADES = "blades-camera-models"
+_BLADES, _NERF = "blades-camera-models", "blades-nerf"
+#: Frames that each is matched with on the whole film of blades-nerf, as in the paper, and half a blade of it.
+_WINDOW, _HALF_BLADE = 15, 19
 #: Folder beside the runs in which samples are made; its dot keeps it out of lists of runs.
 _FLIGHTS = ".data"
 
@@ -33,8 +38,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     )
     added.add_argument(
         "paper",
-        choices=("a-3dgs", _BLADES),
-        help=f"which one: a-3dgs, Table 3 of the drone paper; {_BLADES}, Table 1 of the paper on blades",
+        choices=("a-3dgs", _BLADES, _NERF),
+        help=f"which one: a-3dgs, Table 3 of the drone paper; {_BLADES}, Table 1 of the paper on blades; {_NERF}, "
+        "its Tables 2 and 3",
     )
     added.add_argument(
         "--data",
@@ -43,7 +49,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         metavar="FOLDER",
         help="captures [a-3dgs: two filmed flights over the town, made beside the runs, and of the data sets here "
         + " and ".join(_PHOTOS)
-        + f"; {_BLADES}: 98 degrees of an engine, made beside the runs]",
+        + f"; {_BLADES}: 98 degrees of an engine, made beside the runs; {_NERF}: films with poses, of which "
+        "segments are cut; 40 degrees of an engine, made beside the runs]",
     )
     added.add_argument("--rows", nargs="+", metavar="ROW", help="methods [all]")
     added.add_argument("--runs", type=Path, metavar="DIR", help="folder of runs [runs/ and the name of the table]")
@@ -51,7 +58,18 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         "--out", type=Path, metavar="DIR", help="where tables and figures go [docs/results/ and its name]"
     )
     added.add_argument(
-        "--window", type=int, default=4, metavar="N", help=f"{_BLADES}: frames that each is matched with [4]"
+        "--window",
+        type=int,
+        metavar="N",
+        help=f"{_BLADES} and {_NERF}: frames that each is matched with [4; {_NERF}: {_WINDOW} at most, and less "
+        "than half a blade at the stride]",
+    )
+    added.add_argument(
+        "--stride",
+        type=int,
+        default=1,
+        metavar="N",
+        help=f"{_NERF}: take every so many frames of each segment, where time demands it [1]",
     )
     added.add_argument("--train-steps", type=int, metavar="N", help="steps of every training [each recipe's own]")
     added.add_argument("--max-side", type=int, metavar="N", help="pixels of the longer side [each recipe's own]")
@@ -72,6 +90,8 @@ def _table(arguments: argparse.Namespace) -> None:
     arguments.out = arguments.out or Path("docs/results") / arguments.paper
     if arguments.paper == _BLADES:
         _blades(arguments)
+    elif arguments.paper == _NERF:
+        _nerf(arguments)
     else:
         _drones(arguments)
 
@@ -82,7 +102,7 @@ def _blades(arguments: argparse.Namespace) -> None:
     from toolkit.runs.paper_runs import TableOptions, make_attempts
 
     rows = _rows(ROWS, arguments.rows)
-    changes = {"pairs.overlap": arguments.window}
+    changes = {"pairs.overlap": 4 if arguments.window is None else arguments.window}
     options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
     given = None if arguments.data is None else _named(arguments.data)
 
@@ -102,6 +122,54 @@ def _engine(runs_dir: Path, seed: int, progress: Progress) -> Path:
 
     settings = EngineSettings().replace({"film.frames": 246, "film.stride": 4})
     return make_engine(runs_dir / _FLIGHTS / f"engine-{seed}", settings, seed=seed, progress=progress).folder
+
+
+def _nerf(arguments: argparse.Namespace) -> None:
+    from toolkit.recipes import registry
+    from toolkit.runs.nerf_runs import make_nerf_attempts
+    from toolkit.runs.nerf_table import ROWS, nerf_tables, write_nerf_tables
+    from toolkit.runs.paper_runs import TableOptions
+
+    stride = arguments.stride
+    if stride < 1:
+        raise SettingsError("A stride must be positive", expected="a whole number from 1", found=str(stride))
+    rows = _rows(ROWS, arguments.rows)
+    usual = max(1, min(_WINDOW, _HALF_BLADE // stride))
+    window = usual if arguments.window is None else arguments.window
+    wishes = {
+        "scene.points.pairs.overlap": window,
+        "train.steps": arguments.train_steps,
+        "train.max_side": arguments.max_side,
+    }
+    changes = {name: value for name, value in wishes.items() if value is not None}
+    options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
+    given = None if arguments.data is None else _named(arguments.data)
+
+    def work(bar: Progress) -> list[Any]:
+        films = given if given is not None else {"engine": _film(arguments.runs, arguments.seed, bar)}
+        return make_nerf_attempts(
+            rows,
+            films,
+            registry.all_recipes(),
+            options,
+            stride=stride,
+            segments=arguments.runs / _FLIGHTS / "segments",
+            progress=bar,
+        )
+
+    tables = nerf_tables(with_bar(work), stride=stride, window=window)
+    file = write_nerf_tables(tables, arguments.out)
+    print("\n".join(table.markdown() for table in tables))
+    print(f"Wrote {file}")
+
+
+def _film(runs_dir: Path, seed: int, progress: Progress) -> Path:
+    """Return the film of which segments are cut, made where it is missing: 40 degrees, a blade in 40 frames."""
+    from toolkit.runs.nerf_table import LONGEST
+    from toolkit.samples.engine import EngineSettings, make_engine
+
+    settings = EngineSettings().replace({"film.frames": LONGEST})
+    return make_engine(runs_dir / _FLIGHTS / f"film-{seed}", settings, seed=seed, progress=progress).folder
 
 
 def _drones(arguments: argparse.Namespace) -> None:
@@ -137,7 +205,7 @@ def _drones(arguments: argparse.Namespace) -> None:
     print("Wrote " + ", ".join(str(path) for path in files))
 
 
-def _rows(rows: Sequence[PaperRow], names: Sequence[str] | None) -> list[PaperRow]:
+def _rows(rows: Sequence[Row], names: Sequence[str] | None) -> list[Row]:
     """Return the rows of these names, in the table's order."""
     known = [row.key for row in rows]
     unknown = [name for name in names or () if name not in known]

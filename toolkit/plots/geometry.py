@@ -99,8 +99,15 @@ def error_histogram(errors: Mapping[str, Array], *, unit: str = "m", title: str 
     return drawn
 
 
-def threshold_curves(errors: Mapping[str, SurfaceErrors], *, unit: str = "m", title: str = "") -> go.Figure:
+def threshold_curves(
+    errors: Mapping[str, SurfaceErrors], *, unit: str = "m", factor: float = 1.0, title: str = ""
+) -> go.Figure:
     """Draw precision (dashed), recall (dotted) and F-score (solid) over the threshold, up to twice the largest one.
+
+    Parameters
+    ----------
+    unit, factor:
+        What thresholds are drawn in, and how many of it are in a unit of the errors.
 
     Raises
     ------
@@ -120,13 +127,13 @@ def threshold_curves(errors: Mapping[str, SurfaceErrors], *, unit: str = "m", ti
         }
         for name, (measure, line) in curves.items():
             drawn.add_scatter(
-                x=thresholds,
+                x=factor * thresholds,
                 y=[measure(float(threshold)) for threshold in thresholds],
                 name=f"{shown(label)}: {name}",
                 mode="lines",
                 line={"color": colour(position), "dash": line, "width": 2.5 if line == "solid" else 1.5},
             )
-    drawn.update_xaxes(range=[0, upper])
+    drawn.update_xaxes(range=[0, factor * upper])
     drawn.update_yaxes(range=[0, 1.02], tickformat=".0%")
     return drawn
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.depth.mesh_clean import ClipSettings, clip_near
 from toolkit.depth.mesh_marching import MarchingSettings, mesh_from_density
-from toolkit.errors import StageError
+from toolkit.errors import DataError, StageError
 from toolkit.metrics.lpips import Lpips
 from toolkit.nerf.settings import DsNerfSettings, NerfSettings
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult, StageTime
@@ -19,7 +20,7 @@ from toolkit.recipes.measure import measure_poses, measure_test_renders
 from toolkit.recipes.rendered_depth import DepthJudge
 from toolkit.recipes.steps import SCENE
 from toolkit.recipes.surface_scene import SurfaceSceneSettings, surface_scene
-from toolkit.recipes.surface_steps import mesh_artifacts
+from toolkit.recipes.surface_steps import mesh_artifacts, sparse_points
 from toolkit.scene import Scene
 from toolkit.scene.folder import read_scene
 from toolkit.settings import Boolean, Group, Number, Settings
@@ -46,6 +47,7 @@ class FieldMeshSettings(Settings):
         "box.",
     )
     marching = Group(MarchingSettings(resolution=192), doc="Marching cubes; the threshold is set by 'opaque'")
+    clip = Group(ClipSettings(), doc="How far the mesh may be from the sparse points")
 
 
 class NerfRecipeSettings(Settings):
@@ -98,7 +100,7 @@ def run(data: RecipeInput, settings: NerfRecipeSettings, context: RecipeContext)
     depth_metrics, depth_report = judge.metrics()
     measuring = time.perf_counter() - start
     start = time.perf_counter()
-    mesh_metrics, mesh_report = _mesh(trained.field, scene, data, settings.mesh, context)
+    mesh_metrics, mesh_report = _mesh(trained.field, scene, data, settings, context)
     meshing = time.perf_counter() - start
     return RecipeResult(
         scene=scene,
@@ -151,10 +153,14 @@ def test_renders(field: RadianceField, scene: Scene) -> Iterator[RenderedView]:
 
 
 def _mesh(
-    field: RadianceField, scene: Scene, data: RecipeInput, settings: FieldMeshSettings, context: RecipeContext
+    field: RadianceField, scene: Scene, data: RecipeInput, every: NerfRecipeSettings, context: RecipeContext
 ) -> tuple[dict[str, float | None], dict[str, Any]]:
+    settings, train = every.mesh, every.train
     if not settings.make:
         return {}, {}
+    # Imported only now: whoever reads settings does without PyTorch.
+    from toolkit.nerf.space import space_of
+
     threshold = 1 / (settings.opaque * field.space.unit)
 
     def colour(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -162,12 +168,19 @@ def _mesh(
         return (255 * field.colour(points, -normals) + 0.5).astype(np.uint8)
 
     marching = settings.marching.replace({"threshold": threshold})
+    bounds = field.bounds
+    if field.space.contracted:
+        # A field that started from another run's weights has that run's box, and the rest of its scene around it.
+        own = space_of(scene, margin=train.margin, contracted=True)
+        bounds = np.array([own.low, own.high])
     try:
-        mesh = mesh_from_density(field.density, field.bounds, marching, colour=colour, progress=context.progress)
-    except StageError as error:  # a field that is thin everywhere is a result, too
+        whole = mesh_from_density(field.density, bounds, marching, colour=colour, progress=context.progress)
+        mesh = clip_near(whole, sparse_points(scene), settings.clip) if settings.clip.spacings > 0 else whole
+    except (StageError, DataError) as error:  # a field that is thin everywhere is a result, too
         return {"mesh.faces": None}, {"mesh": {"reason": str(error)}}
     metrics, report = mesh_artifacts(mesh, data, context, scene=scene)
-    return metrics, {"mesh": {**report, "threshold": threshold}}
+    clipped = len(whole.faces) - len(mesh.faces)
+    return metrics, {"mesh": {**report, "threshold": threshold, "clipped_faces": clipped}}
 
 
 NERF = Recipe(

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import StageError
-from toolkit.metrics.geometry import depth_errors
+from toolkit.geometry.ray_casting import MeshCaster
+from toolkit.metrics.depth import depth_errors
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.recipes.base import RecipeInput
-from toolkit.samples.surfaces import sample_folder, true_depth
+from toolkit.samples.make import depth_path
+from toolkit.samples.surfaces import sample_folder, true_depth, true_surface
 from toolkit.scene import Scene
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ class DepthJudge:
         self._scene, self._reference = scene, data.reference
         self._errors: list[dict[str, Any]] = []
         self._folder, self._scale, self._reason = None, 1.0, "the data have no true depth"
+        self._caster: MeshCaster | None = None
         folder = None if data.reference is None else sample_folder(data.reference)
         if folder is None or data.reference is None:
             return
@@ -49,7 +52,9 @@ class DepthJudge:
         if self._scene.camera_of(frame) != self._reference.camera_of(self._reference.frame(view.name)):
             self._folder, self._reason = None, "the pictures are undistorted, or their lens was found: other pixels"
             return
-        truth = _nearest(true_depth(self._folder, frame), view.depth.shape)
+        if self._caster is None and not depth_path(self._folder, frame).is_file():
+            self._caster = MeshCaster(true_surface(self._folder))
+        truth = _nearest(true_depth(self._folder, frame, caster=self._caster), view.depth.shape)
         if view.weights is not None:
             truth = np.where(view.weights > 0, truth, np.float32(0))
         try:

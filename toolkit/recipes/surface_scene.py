@@ -129,7 +129,12 @@ def _given(data: RecipeInput, settings: SlamPointSettings, context: RecipeContex
     return cached_stage(
         context,
         "given",
-        inputs={"capture": data.fingerprint, "poses": [_pose(frame) for frame in scene.frames], "tracks": tracks},
+        inputs={
+            "capture": data.fingerprint,
+            "poses": [_pose(frame) for frame in scene.frames],
+            # Points that are triangulated anyway have tracks.
+            "tracks": tracks and scene.points is not None,
+        },
         settings=settings,
         code=(matching, poses),
         build=given_into,

@@ -1,7 +1,8 @@
-"""The true surface of samples: of the filmed engine and of flights over the town."""
+"""The true surface and depth of the filmed engine and of flights over the town, and depth that is not quite true."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError, ToolkitError
-from toolkit.files import read_json
+from toolkit.files import disk_errors, read_json
 from toolkit.geometry.ray_casting import MeshCaster
-from toolkit.geometry.surface import Mesh
+from toolkit.geometry.surface import DepthView, Mesh
 from toolkit.samples.engine import open_engine
 from toolkit.samples.make import SampleSettings, depth_path, read_depth, town_of_sample
 from toolkit.scene import Frame, Scene
@@ -70,6 +71,56 @@ def true_depth(folder: Path, frame: Frame, *, caster: MeshCaster | None = None) 
     if posed.cam_from_world is None:
         raise DataError(f"Frame '{frame.name}' of {folder} has no pose", expected="the true one", found="none")
     return (caster or MeshCaster(true_surface(folder))).depth(scene.camera_of(posed), posed.cam_from_world)
+
+
+def write_disturbed_depth(
+    views: Iterable[DepthView],
+    truth: Mesh,
+    folder: Path,
+    *,
+    scale: float = 0.3,
+    shift: float = 0.2,
+    noise: float = 0.01,
+    smooth: float = 6.0,
+    seed: int = 0,
+) -> Path:
+    """Write true depth as a network might guess it, an array for each view, and return the folder.
+
+    Of each view the true depth z becomes s z (1 + n) + t: the scale s is drawn evenly from a factor of 1 +-
+    ``scale``, the shift t from +- ``shift`` median depths, and n is noise that varies slowly over the picture.
+
+    Parameters
+    ----------
+    views:
+        Whose cameras and poses count, in the world of ``truth``; arrays are of their size.
+    folder:
+        For ``<name>.npy`` (H, W) float32, 0 where a ray meets nothing; made where it is missing.
+    noise:
+        Standard deviation of n.
+    smooth:
+        Pixels over which n stays about the same.
+
+    Raises
+    ------
+    RunError
+        Where the disk refuses.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    caster, random = MeshCaster(truth), np.random.default_rng(seed)
+    for view in views:
+        depth = caster.depth(view.camera, view.cam_from_world)
+        wave = gaussian_filter(random.standard_normal(depth.shape), smooth, mode="reflect")
+        wave *= noise / max(float(wave.std()), 1e-12)
+        by = 1 + scale * random.uniform(-1, 1)
+        known = depth > 0
+        offset = shift * random.uniform(-1, 1) * float(np.median(depth[known])) if known.any() else 0.0
+        made = np.where(known, np.maximum(by * depth * (1 + wave) + offset, 1e-6), 0).astype(np.float32)
+        path = folder / f"{view.name}.npy"
+        with disk_errors(path, "writing"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.save(path, made)
+    return folder
 
 
 def _record(folder: Path) -> dict[str, Any]:
