@@ -52,7 +52,7 @@ def temple(work: Path) -> tuple[Scene, Scene]:
     order = np.argsort(np.arctan2(middle @ across[1], middle @ across[0]))
     images, frames = work / "temple" / "images", []
     images.mkdir(parents=True, exist_ok=True)
-    # A long lens of 2.4 widths, started from a round number. Its principal point is taken from the calibration: 18 px
+    # A long lens of 2.4 widths, started from a round number. Its principal point is that of the calibration: 18 px
     # beside the middle, which this ring does not determine and every orientation would pay for with 0.7 degrees.
     known = capture.reference.camera_of(capture.reference.frames[0])
     assert isinstance(known, ColmapCamera)

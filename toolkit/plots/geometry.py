@@ -173,6 +173,10 @@ def depth_maps(maps: Mapping[str, NDArray[np.floating]], *, unit: str = "m", tit
             "colorbar": {"title": {"text": f"depth in {shown(unit)}", "side": "right"}, "thickness": 14},
         }
     )
-    drawn.update_xaxes(visible=False)
-    drawn.update_yaxes(visible=False, autorange="reversed", scaleanchor="x")
+    drawn.update_annotations(font_size=13)
+    # Panels stay below their titles, however wide the page leaves them.
+    drawn.update_xaxes(visible=False, constrain="domain")
+    drawn.update_yaxes(
+        visible=False, autorange="reversed", scaleanchor="x", constrain="domain", constraintoward="top"
+    )
     return drawn
