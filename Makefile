@@ -67,7 +67,7 @@ viewer-if-npm:
 test: $(VENV)/.dev viewer-if-npm  ## Run the tests.
 	$(BIN)/python -m pytest
 
-bench: $(VENV)/.dev  ## Measure (three hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
+bench: $(VENV)/.dev  ## Measure (four hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
 	$(BIN)/python tests/benchmarks/performance.py
 	$(BIN)/python tests/benchmarks/quality.py schedule --work runs/quality
 	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
@@ -76,6 +76,7 @@ bench: $(VENV)/.dev  ## Measure (three hours): rasterizer, training, poses, SLAM
 	$(BIN)/python tests/benchmarks/slam.py --work runs/bench-slam
 	$(BIN)/python tests/benchmarks/blades.py
 	$(BIN)/python tests/benchmarks/temple_ring.py
+	$(BIN)/python tests/benchmarks/stereo.py
 	$(BIN)/python tests/benchmarks/dashboard.py
 	$(BIN)/python tests/benchmarks/sweep.py
 
