@@ -8,10 +8,21 @@ import numpy as np
 import pytest
 
 from toolkit.errors import RunError
+from toolkit.files import write_json
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.notebook import CellProgress, measures_text, poses_figure, sample_folder, seconds_figure, work_folder
+from toolkit.notebook import (
+    CellProgress,
+    best_text,
+    measures_text,
+    poses_figure,
+    sample_folder,
+    seconds_figure,
+    surface_measures,
+    work_folder,
+)
 from toolkit.progress import ProgressEvent
+from toolkit.runs.folder import RunFolder
 from toolkit.samples.make import SampleSettings
 from toolkit.scene import Frame, Scene
 
@@ -93,3 +104,23 @@ def test_seconds_are_bars_built_of_steps() -> None:
     figure = seconds_figure({"short": {"match": 1.0}, "long": {"match": 2.0, "solve": 5.0}})
     bars = {bar.name: list(bar.x) for bar in figure.data}
     assert bars == {"match": [1.0, 2.0], "solve": [None, 5.0]}
+
+
+def test_what_runs_with_surfaces_measured_is_in_millimetres(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path / "run")
+    times = [{"name": n, "seconds": s, "reused": False} for n, s in (("stereo", 3.6), ("measure mesh", 9.0))]
+    metrics = {"mesh.accuracy": 0.0021, "mesh.f_score": 0.5, "mesh.faces": None}
+    write_json(run.result_file, {"metrics": metrics, "times": times, "reports": {}, "test_views": []})
+    measures = surface_measures(run)
+    assert measures["accuracy [mm]"] == pytest.approx(2.1)
+    assert measures["F-score [%]"] == 50
+    assert measures["faces"] is None
+    assert measures["PSNR [dB]"] is None
+    assert measures["time [s]"] == 4
+
+
+def test_the_best_of_each_measure_is_told_with_the_next() -> None:
+    columns = {"a": {"x": 3.0, "y": 1.0}, "b": {"x": 2.0, "y": None}, "c": {"x": 1.5}}
+    told = best_text(columns, {"x": "lower", "y": "higher", "z": "lower"})
+    assert told.splitlines() == ["x: c (1.500), then b (2)", "y: a (1)", "z: not measured"]
+    assert best_text(columns, {"x": "higher"}) == "x: a (3), then b (2)"

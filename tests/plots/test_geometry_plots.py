@@ -48,6 +48,15 @@ def test_curves_over_the_threshold_rise_to_one() -> None:
         threshold_curves({})
 
 
+def test_thresholds_are_drawn_in_a_smaller_unit() -> None:
+    errors = compare_surfaces(ball(1.01, finer=3), ball(finer=3), thresholds=(0.005, 0.02), samples=1_000)
+    metres, small = threshold_curves({"a": errors}), threshold_curves({"a": errors}, unit="mm", factor=1e3)
+    np.testing.assert_allclose(small.data[0].x, 1e3 * np.asarray(metres.data[0].x))
+    np.testing.assert_array_equal(small.data[0].y, metres.data[0].y)
+    assert small.layout.xaxis.title.text == "threshold in mm"
+    assert small.layout.xaxis.range == (0, 40)
+
+
 def test_depth_maps_stand_side_by_side_in_one_scale() -> None:
     near = np.full((600, 800), 2.0, np.float32)
     near[:300] = 0

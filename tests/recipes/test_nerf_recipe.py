@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from toolkit.errors import SettingsError, StageError
 from toolkit.nerf.settings import DsNerfSettings, NerfSettings
+from toolkit.nerf.space import Space
 from toolkit.progress import ProgressEvent
 from toolkit.recipes.base import RecipeContext, RecipeInput
-from toolkit.recipes.nerf import DS_NERF, NERF, DsNerfRecipeSettings, NerfRecipeSettings
+from toolkit.recipes.nerf import DS_NERF, NERF, DsNerfRecipeSettings, NerfRecipeSettings, _mesh
 from toolkit.recipes.presets import recipe_presets, with_preset
 from toolkit.recipes.registry import find_recipe
 from toolkit.samples.engine import EngineSettings, make_engine
+from toolkit.scene import Points
 from toolkit.scene.dataset import capture_fingerprint, open_capture
 from toolkit.workspace import Workspace
 
@@ -77,6 +81,42 @@ def test_given_poses_become_a_field_with_test_views_and_a_mesh(data: RecipeInput
     # A field of 30 steps may be thin everywhere: then there is no mesh, and the report says so.
     assert (artifacts / "mesh.ply").is_file() or "reason" in result.reports["mesh"]
     result.to_dict()
+
+
+class BallField:
+    """A ball of fog of radius one, as the mesh step asks a field."""
+
+    space = Space((-2.0,) * 3, (2.0,) * 3, 0.1, False)
+    bounds = np.array([space.low, space.high])
+
+    def density(self, points: np.ndarray) -> np.ndarray:
+        return np.where(np.linalg.norm(points, axis=1) < 1, 100.0, 0.0).astype(np.float32)
+
+    def colour(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        return np.full((len(points), 3), 0.5, np.float32)
+
+
+def test_the_mesh_is_clipped_to_the_sparse_points(data: RecipeInput, tmp_path: Path) -> None:
+    upper = np.random.default_rng(0).standard_normal((400, 3))
+    upper = np.abs(upper) / np.linalg.norm(upper, axis=1, keepdims=True)  # an eighth of the ball
+    scene = data.scene.replace(points=Points(upper, np.zeros((400, 3), np.uint8)))
+    field: Any = BallField()
+    bare = RecipeInput(scene, None, "")
+    tried = {"mesh.opaque": 0.02, "mesh.marching.resolution": 24}
+    found = {}
+    for spacings in (0, 2):
+        settings = NerfRecipeSettings().replace({**tried, "mesh.clip.spacings": spacings})
+        context = context_in(tmp_path / str(spacings), [])
+        context.artifacts.mkdir(parents=True)
+        found[spacings] = _mesh(field, scene, bare, settings, context)
+    whole, clipped = (found[spacings][0]["mesh.faces"] for spacings in (0, 2))
+    # An eighth and its rim.
+    assert 0.1 * whole < clipped < 0.3 * whole
+    assert found[2][1]["mesh"]["clipped_faces"] == whole - clipped
+    few = scene.replace(points=Points(upper[:5], np.zeros((5, 3), np.uint8)))
+    metrics, report = _mesh(field, few, bare, NerfRecipeSettings().replace(tried), context)
+    assert metrics == {"mesh.faces": None}
+    assert "Too few points for a spacing" in report["mesh"]["reason"]
 
 
 def test_depth_needs_points_that_frames_saw(data: RecipeInput, tmp_path: Path) -> None:

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import CAMERA, ball
 
 from toolkit.errors import DataError
 from toolkit.files import write_json
 from toolkit.geometry.ray_casting import MeshCaster
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.geometry.surface import DepthView
 from toolkit.samples.engine import EngineSettings, make_engine
 from toolkit.samples.make import SampleSettings, make_sample, read_depth
-from toolkit.samples.surfaces import sample_folder, true_depth, true_surface
+from toolkit.samples.surfaces import sample_folder, true_depth, true_surface, write_disturbed_depth
 from toolkit.scene import Scene
 
 
@@ -101,3 +104,24 @@ def test_the_engine_has_all_its_blades(engine: Path) -> None:
     # 90 alike blades; the tips stand a little outside the circle of their middles.
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices[:, :2], axis=1).max(), 0.25, atol=0.02)
     assert len(mesh.faces) % 90 == 0
+
+
+def test_disturbed_depth_is_the_truth_in_another_scale_and_shift(tmp_path: Path) -> None:
+    view = DepthView(
+        "a/b.png",
+        CAMERA,
+        RigidTransform.look_at((0.0, 0.0, 4.0), (0.0, 0.0, 0.0)),
+        np.zeros((CAMERA.height, CAMERA.width), np.float32),
+    )
+    truth = MeshCaster(ball()).depth(CAMERA, view.cam_from_world)
+    folder = write_disturbed_depth([view], ball(), tmp_path / "guess", noise=0.0, seed=3)
+    found = np.load(folder / "a" / "b.png.npy")
+    known = truth > 0
+    assert not found[~known].any()
+    scale, shift = np.polyfit(truth[known], found[known], 1)
+    assert 0.7 < scale < 1.3
+    assert 0 < abs(shift) < 0.2 * 4
+    np.testing.assert_allclose(found[known], scale * truth[known] + shift, atol=1e-4)
+    noisy = np.load(write_disturbed_depth([view], ball(), tmp_path / "noisy", noise=0.02, seed=3) / "a/b.png.npy")
+    # Noise n of standard deviation 0.02 over the whole picture; the ball covers a part of it.
+    assert 0.005 < np.std((noisy[known] - found[known]) / (scale * truth[known])) < 0.04

@@ -39,7 +39,7 @@ class FieldMeshSettings(Settings):
 
     make = Boolean(True, doc="Make a mesh of the field.")
     opaque = Number(
-        0.02,
+        0.08,
         bounds=(0.0, 1.0),
         inclusive_bounds=(False, True),
         unit="half sides",

@@ -1,4 +1,4 @@
-"""The true surface and depth of the filmed engine and of flights over the town, and depth that is not quite true."""
+"""The true surface and depth of the filmed engine and of flights over the town, and depth not quite true."""
 
 from __future__ import annotations
 
