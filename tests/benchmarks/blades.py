@@ -43,6 +43,7 @@ from toolkit.metrics.circle import circle_errors, fit_circle
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.poses.arc_sigma import ArcSigma
 from toolkit.poses.circular import close_circle
+from toolkit.poses.circular_length import long_tracks
 from toolkit.poses.circular_result import CircularResult
 from toolkit.poses.circular_scale import fine_tracks
 from toolkit.poses.circular_seam import seam_matches, seam_tracks
@@ -203,9 +204,12 @@ def measure_circle(work: Path) -> None:
         fine_ones = CircularSettings().max_scale
         for scale in (fine_ones,) if kept else (0.0, fine_ones):
             start = time.perf_counter()
-            fine = fine_tracks(joined, database, scale).scene
-            result = close_circle(fine, CircularSettings(full_turn=not closed).replace(kept))
-            told = f"circle, {f'features up to {scale:g} px' if scale else 'all features'}, {name}"
+            taken = joined
+            if scale:
+                taken = fine_tracks(joined, database, scale).scene
+                taken = long_tracks(taken, CircularSettings().min_track).scene
+            result = close_circle(taken, CircularSettings(full_turn=not closed).replace(kept))
+            told = f"circle, {'fine features, long tracks' if scale else 'all features'}, {name}"
             _circle_row(told, result.scene, result, sample, time.perf_counter() - start)
 
 

@@ -67,6 +67,13 @@ class CircularSettings(Settings):
         doc="Features of a larger scale are left out, where the recipe knows scales: what is large follows the "
         "light that travels with the camera, and turns the camera on its mount by degrees; 0: all.",
     )
+    min_track = Integer(
+        8,
+        bounds=(2, None),
+        unit="frames",
+        doc="Points that fewer frames see are left out, as long as enough are left for each frame: what slides "
+        "along the surface has short tracks, and turns the camera on its mount; 2: all.",
+    )
     max_error = Number(
         4.0, bounds=(0.1, 100.0), unit="px", doc="Observations with a larger error at the end are removed."
     )

@@ -19,6 +19,7 @@ from toolkit.poses.arc_sigma import arc_sigma
 from toolkit.poses.camera_models import MODELS
 from toolkit.poses.camera_start import counted_as_measured, plain_cameras, with_cameras
 from toolkit.poses.circular import close_circle
+from toolkit.poses.circular_length import long_tracks
 from toolkit.poses.circular_scale import fine_tracks
 from toolkit.poses.circular_seam import seam_matches, seam_tracks
 from toolkit.poses.circular_settings import CircularSettings
@@ -258,9 +259,10 @@ def on_a_circle(
         database = again if again.is_file() else matched.database
         joined = seam_tracks(scene, seam_matches(scene, database))
         fine = fine_tracks(joined.scene, database, settings.max_scale)
-        closed = close_circle(fine.scene, settings, seed=context.seed, progress=context.progress)
+        long = long_tracks(fine.scene, settings.min_track)
+        closed = close_circle(long.scene, settings, seed=context.seed, progress=context.progress)
         write_scene(closed.scene, folder / SCENE)
-        return {**closed.to_dict(), "seam": joined.to_dict(), "fine": fine.to_dict()}
+        return {**closed.to_dict(), "seam": joined.to_dict(), "fine": fine.to_dict(), "long": long.to_dict()}
 
     return cached_stage(
         context,
