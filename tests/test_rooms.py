@@ -11,7 +11,7 @@ import toolkit
 
 ROOT = Path(toolkit.__file__).parent
 
-GROUND_FLOOR = {"errors", "files", "optional", "progress", "settings", "workspace"}
+GROUND_FLOOR = {"checkpoint", "errors", "files", "optional", "progress", "settings", "workspace"}
 
 # What each room may import besides itself and the ground floor. A room that is not listed may not exist.
 MAY_IMPORT: dict[str, set[str]] = {
@@ -38,6 +38,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 
 # The ground floor knows nobody above it; these are its own inner steps.
 GROUND_MAY_IMPORT: dict[str, set[str]] = {
+    "checkpoint": {"errors", "files"},
     "errors": set(),
     "files": {"errors"},
     "optional": {"errors"},

@@ -11,7 +11,6 @@ import torch
 
 from toolkit.errors import Cancelled, CapabilityError, DataError, RunError, StageError
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.nerf.checkpoint import CHECKPOINT_FILE
 from toolkit.nerf.render import render_nerf
 from toolkit.nerf.settings import DsNerfSettings, NerfSettings, learning_rate, presets_of, total_steps
 from toolkit.nerf.train import NerfResult, train_nerf
@@ -85,15 +84,29 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_refused(
     train_nerf(plane, small, seed=0, checkpoint_dir=tmp_path)
     with pytest.raises(RunError, match="belongs to another run; expected settings.lr = 0.02, seed = 1"):
         train_nerf(plane, small.replace({"lr": 0.02}), seed=1, checkpoint_dir=tmp_path)
-    file = tmp_path / CHECKPOINT_FILE
+    (file,) = tmp_path.glob("step-*.safetensors")
     content = bytearray(file.read_bytes())
     content[-5] ^= 1
     file.write_bytes(content)
-    with pytest.raises(DataError, match="is damaged; expected checksum"):
+    with pytest.raises(DataError, match="No checkpoint in .* can be read.*is damaged; expected checksum"):
         train_nerf(plane, small, seed=0, checkpoint_dir=tmp_path)
     file.write_bytes(content[:100])
     with pytest.raises(DataError, match="is damaged; expected a whole safetensors file"):
         train_nerf(plane, small, seed=0, checkpoint_dir=tmp_path)
+
+
+def test_a_damaged_checkpoint_leaves_the_one_before(plane: Scene, small: NerfSettings, tmp_path: Path) -> None:
+    every = small.replace({"checkpoint_every": 2})
+    whole = train_nerf(plane, every, seed=0, checkpoint_dir=tmp_path)
+    older, newest = sorted(tmp_path.glob("step-*.safetensors"))
+    newest.write_bytes(newest.read_bytes()[:100])
+    messages: list[str] = []
+    again = train_nerf(
+        plane, every, seed=0, checkpoint_dir=tmp_path, progress=lambda event: messages.append(event.message)
+    )
+    assert again.resumed_at == int(older.stem.removeprefix("step-")) < whole.steps
+    assert same(whole, again)
+    assert any(newest.name in message and "resumed at step" in message for message in messages)
 
 
 def test_weights_of_another_run_are_a_start(plane: Scene, small: NerfSettings, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from fake_recipe import RECIPE as FAKE
 from fake_recipe import MakeRun, posed
 
+from toolkit.checkpoint import load_newest
 from toolkit.errors import RunError, SettingsError
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult, StageTime
 from toolkit.runs.extend import extend_run, finished_steps
@@ -17,7 +18,6 @@ from toolkit.runs.folder import RunFolder
 from toolkit.runs.launch import create_run, execute
 from toolkit.scene import Points
 from toolkit.settings import Group, Settings
-from toolkit.splat.checkpoint import load_newest
 from toolkit.splat.train import train_splats
 from toolkit.splat.train_settings import TrainSettings
 

@@ -10,12 +10,12 @@ import torch
 from tiny_scene import make_scene
 from tiny_training import same, settings, stop_after
 
+from toolkit.checkpoint import load_newest
 from toolkit.errors import Cancelled, CapabilityError, DataError, NumericalError, StageError
 from toolkit.scene import Scene
 from toolkit.splat import optimiser as optimiser_module
 from toolkit.splat import train as train_module
 from toolkit.splat import trainer as trainer_module
-from toolkit.splat.checkpoint import load_newest
 from toolkit.splat.density import DensityChange, DensityControl
 from toolkit.splat.memory import bytes_per_gaussian
 from toolkit.splat.optimiser import GaussianOptimiser

@@ -10,7 +10,7 @@ import numpy as np
 from toolkit.capture.frames import require_empty
 from toolkit.errors import DataError, SettingsError
 from toolkit.files import atomic_folder
-from toolkit.scene import Points, Scene, Tracks
+from toolkit.scene import Points, Scene
 from toolkit.scene.folder import read_scene, write_scene
 
 
@@ -100,11 +100,6 @@ def _seen(scene: Scene, chosen: range) -> Points | None:
     place[list(chosen)] = np.arange(len(chosen))
     tracks = points.tracks
     kept = place[tracks.frame] >= 0
-    rows, moved = np.unique(tracks.point[kept], return_inverse=True)
-    return dataclasses.replace(
-        points,
-        xyz=points.xyz[rows],
-        rgb=points.rgb[rows],
-        error=None if points.error is None else points.error[rows],
-        tracks=Tracks(moved.astype(np.int64), place[tracks.frame[kept]], tracks.pixel[kept]),
-    )
+    left = points.observed(kept)
+    assert left.tracks is not None
+    return dataclasses.replace(left, tracks=dataclasses.replace(left.tracks, frame=place[left.tracks.frame]))

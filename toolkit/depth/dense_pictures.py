@@ -13,13 +13,12 @@ from PIL import Image
 from toolkit.depth.dense_folder import DenseFolder, frame_size, require_pinhole
 from toolkit.depth.monocular import load_checked_picture
 from toolkit.depth.view_choice import with_tracks
-from toolkit.errors import DataError
 from toolkit.files import atomic_path, disk_errors
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Frame, Scene, Tracks
 from toolkit.scene.colmap import write_colmap
-from toolkit.scene.pictures import area_resize, open_picture
+from toolkit.scene.pictures import area_resize, load_mask
 
 _QUALITY = 97
 
@@ -89,29 +88,6 @@ def scaled_scene(scene: Scene, longest: int) -> Scene:
             ),
         )
     return scene.replace(cameras=cameras, frames=frames, points=points)
-
-
-def load_mask(scene: Scene, frame: Frame) -> NDArray[np.bool_] | None:
-    """Return which pixels (height, width) of a picture count, or None without a mask.
-
-    Raises
-    ------
-    DataError
-        Where the mask is damaged or not of the picture's size.
-    """
-    path = scene.mask_path(frame)
-    if path is None:
-        return None
-    with open_picture(path) as image:
-        mask = np.asarray(image.convert("L"), dtype=np.uint8) > 0
-    camera = scene.camera_of(frame)
-    if mask.shape != (camera.height, camera.width):
-        raise DataError(
-            f"Mask {path} does not fit its picture",
-            expected=f"{camera.width}x{camera.height}",
-            found=f"{mask.shape[1]}x{mask.shape[0]}",
-        )
-    return mask
 
 
 def _write_picture(scene: Scene, frame: Frame, longest: int, target: Path) -> None:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolkit.depth.dense_pictures import load_mask
 from toolkit.depth.patchmatch import StereoView
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.scene import Scene
-from toolkit.scene.pictures import load_grey
+from toolkit.scene.pictures import load_grey, load_mask
 
 
 def load_stereo_view(scene: Scene, name: str) -> StereoView:

@@ -18,7 +18,7 @@ from toolkit.depth.settings import DepthSettings
 from toolkit.errors import DataError, StageError
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Frame, Points, Scene
-from toolkit.scene.pictures import open_picture
+from toolkit.scene.pictures import load_mask
 
 Array = NDArray[np.float64]
 
@@ -174,7 +174,7 @@ def _unproject_frame(
     usable = usable_pixels(fit.depth, settings)
     if prediction.confidence is not None:
         usable &= prediction.confidence >= settings.min_confidence
-    mask = _load_mask(scene, frame)
+    mask = load_mask(scene, frame)
     if mask is not None:
         usable &= mask
     origins, directions = pixel_rays(scene.camera_of(frame))
@@ -237,20 +237,3 @@ def thin_points(xyz: Array, depth: Array, voxel: float) -> NDArray[np.int64]:
     _, first = np.unique(cells, axis=0, return_index=True)
     rows: NDArray[np.int64] = np.sort(order[first]).astype(np.int64)
     return rows
-
-
-def _load_mask(scene: Scene, frame: Frame) -> NDArray[np.bool_] | None:
-    """Return which pixels (H, W) count, or None without a mask."""
-    path = scene.mask_path(frame)
-    if path is None:
-        return None
-    with open_picture(path) as image:
-        mask = np.asarray(image.convert("L"), dtype=np.uint8) > 0
-    camera = scene.camera_of(frame)
-    if mask.shape != (camera.height, camera.width):
-        raise DataError(
-            f"Mask {path} does not fit its picture",
-            expected=f"{camera.width}x{camera.height}",
-            found=f"{mask.shape[1]}x{mask.shape[0]}",
-        )
-    return mask

@@ -32,7 +32,7 @@ from toolkit.matching.pairs import ChosenPairs
 from toolkit.optional import require
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Frame, Scene
-from toolkit.scene.pictures import load_picture
+from toolkit.scene.pictures import load_mask, load_picture
 
 if TYPE_CHECKING:
     import torch
@@ -187,7 +187,7 @@ def _features(
     """Return keypoints (K, 2), pixel centres at +0.5, and descriptors (K, D), the strongest first."""
     import torch
 
-    mask = _mask(scene, frame)
+    mask = load_mask(scene, frame)
     # Where a mask may take most of them away, all are found, and the strongest of what is left are kept.
     _limit(extractor, settings, settings.max_features if mask is None else None)
     picture = torch.from_numpy(load_picture(scene.image_path(frame))).to(device).permute(2, 0, 1).float() / 255
@@ -213,23 +213,6 @@ def _limit(extractor: Any, settings: DiskSettings | AlikedSettings, most: int | 
         extractor.dkd.n_limit = extractor.n_limit_max if most is None else most
     else:
         extractor.conf.max_num_keypoints = most
-
-
-def _mask(scene: Scene, frame: Frame) -> NDArray[np.bool_] | None:
-    """Return where (H, W) a frame's features may lie, or None where they may lie anywhere."""
-    path = scene.mask_path(frame)
-    if path is None:
-        return None
-    mask = load_picture(path)[..., 0] > 0
-    camera = scene.camera_of(frame)
-    if mask.shape != (camera.height, camera.width):
-        raise DataError(
-            f"Mask {path} has another size than its picture",
-            expected=f"{camera.width}x{camera.height}",
-            found=f"{mask.shape[1]}x{mask.shape[0]}",
-            todo="Write the mask again in the picture's size",
-        )
-    return np.asarray(mask, dtype=np.bool_)
 
 
 class _Matcher:

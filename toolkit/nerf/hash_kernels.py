@@ -28,6 +28,16 @@ def _row(x: Any, y: Any, z: Any, side: Any, mask: Any) -> Any:
     return (x ^ (y * _P1) ^ (z * _P2)) & mask
 
 
+@inlined_kernel
+def _corner(corner: Any, x: Any, y: Any, z: Any, fx: Any, fy: Any, fz: Any, side: Any, mask: Any) -> Any:
+    """Return the row of one of a cell's eight corners within its level, and its trilinear weight."""
+    dx, dy, dz = np.uint32(corner & 1), np.uint32((corner >> 1) & 1), np.uint32(corner >> 2)
+    weight = fx if dx else np.float32(1) - fx
+    weight *= fy if dy else np.float32(1) - fy
+    weight *= fz if dz else np.float32(1) - fz
+    return np.uint64(_row(x + dx, y + dy, z + dz, side, mask)), weight
+
+
 @parallel_kernel
 def _look_up(points: Any, table: Any, starts: Any, cells: Any, masks: Any, out: Any) -> None:
     features = table.shape[1]
@@ -42,11 +52,8 @@ def _look_up(points: Any, table: Any, starts: Any, cells: Any, masks: Any, out: 
             for f in range(features):
                 out[n, level * features + f] = np.float32(0)
             for corner in range(8):
-                dx, dy, dz = np.uint32(corner & 1), np.uint32((corner >> 1) & 1), np.uint32(corner >> 2)
-                weight = fx if dx else np.float32(1) - fx
-                weight *= fy if dy else np.float32(1) - fy
-                weight *= fz if dz else np.float32(1) - fz
-                row = np.uint64(start) + np.uint64(_row(x + dx, y + dy, z + dz, side, mask))
+                row, weight = _corner(corner, x, y, z, fx, fy, fz, side, mask)
+                row += np.uint64(start)
                 for f in range(features):
                     out[n, level * features + f] += weight * table[row, f]
 
@@ -63,11 +70,8 @@ def _gradient(points: Any, grad_out: Any, starts: Any, cells: Any, masks: Any, g
             fx, fy, fz = px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz)
             x, y, z = np.uint32(ix), np.uint32(iy), np.uint32(iz)
             for corner in range(8):
-                dx, dy, dz = np.uint32(corner & 1), np.uint32((corner >> 1) & 1), np.uint32(corner >> 2)
-                weight = fx if dx else np.float32(1) - fx
-                weight *= fy if dy else np.float32(1) - fy
-                weight *= fz if dz else np.float32(1) - fz
-                row = np.uint64(start) + np.uint64(_row(x + dx, y + dy, z + dz, side, mask))
+                row, weight = _corner(corner, x, y, z, fx, fy, fz, side, mask)
+                row += np.uint64(start)
                 for f in range(features):
                     grad[row, f] += weight * grad_out[n, level * features + f]
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import torch
 
+from toolkit.checkpoint import load_newest, require_same
 from toolkit.errors import CapabilityError
-from toolkit.nerf.checkpoint import CHECKPOINT_FILE, load_checkpoint, require_same
 from toolkit.nerf.field import RadianceField
 from toolkit.nerf.keypoints import KeypointRays, keypoint_rays
 from toolkit.nerf.photos import PixelPool, load_photo, load_photos, photos_fingerprint
@@ -134,9 +134,14 @@ def train_nerf(
         "keypoints": "" if keypoints is None else keypoints.fingerprint(),
     }
     made_with = {"settings": settings.to_dict(), "seed": seed, "scene": told}
-    state = _state(settings, space, keypoints, seed, device, checkpoint_dir, made_with)
+    saved, damaged = (None, ()) if checkpoint_dir is None else load_newest(checkpoint_dir)
+    if saved is None or checkpoint_dir is None:
+        state = _start(settings, space, keypoints, seed, device)
+    else:
+        require_same(saved.state["made_with"], made_with, checkpoint_dir)
+        state = NerfState.resume(saved, settings, device, checkpoint_dir)
     resumed_at = state.step
-    message = f"resumed at step {resumed_at}" if resumed_at else ""
+    message = " ".join([*damaged, f"resumed at step {resumed_at}" if resumed_at else ""]).strip()
     progress(ProgressEvent(STAGE, resumed_at, settings.steps, message))
     trainer = NerfTrainer(state, settings, pixels, keypoints, test_photo, observer)
     trainer.run(progress, checkpoint_dir, made_with)
@@ -152,23 +157,13 @@ def train_nerf(
     )
 
 
-def _state(
-    settings: NerfSettings,
-    space: Space,
-    keypoints: KeypointRays | None,
-    seed: int,
-    device: str,
-    folder: Path | None,
-    made_with: dict[str, Any],
+def _start(
+    settings: NerfSettings, space: Space, keypoints: KeypointRays | None, seed: int, device: str
 ) -> NerfState:
-    saved = None if folder is None else load_checkpoint(folder)
-    if saved is None or folder is None:
-        kept = None
-        if keypoints is not None:
-            kept = keypoints.origins + keypoints.distances[:, None] * keypoints.directions
-        return NerfState.start(settings, space, kept, seed, device)
-    require_same(saved.state["made_with"], made_with, folder)
-    return NerfState.resume(saved, settings, device, folder / CHECKPOINT_FILE)
+    kept = None
+    if keypoints is not None:
+        kept = keypoints.origins + keypoints.distances[:, None] * keypoints.directions
+    return NerfState.start(settings, space, kept, seed, device)
 
 
 def _check(settings: NerfSettings, device: str) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from toolkit.checkpoint import Checkpoint
 from toolkit.errors import NumericalError
-from toolkit.nerf.checkpoint import NerfCheckpoint
 from toolkit.nerf.field import RadianceField
 from toolkit.nerf.settings import NerfSettings
 from toolkit.nerf.space import Space
@@ -71,7 +71,7 @@ class NerfState:
             made.occupancy.kept[made.occupancy.rows(made.space.unit_cube(kept)).long()] = True
         return cls(made.to(device), _adam(made, settings), generator)
 
-    def checkpoint(self, made_with: Mapping[str, Any]) -> NerfCheckpoint:
+    def checkpoint(self, made_with: Mapping[str, Any]) -> Checkpoint:
         """Return all of this, with what the run was started with.
 
         Raises
@@ -94,17 +94,16 @@ class NerfState:
         tensors["generator"] = self.generator.get_state()
         state = {
             "made_with": dict(made_with),
-            "step": self.step,
             "space": self.field.space.to_dict(),
             "history": [[row.step, row.loss, row.depth_loss, row.psnr_test] for row in self.history],
             "seconds": self.seconds,
             "per_ray": self.per_ray,
         }
-        return NerfCheckpoint(tensors, state)
+        return Checkpoint(self.step, tensors, state)
 
     @classmethod
-    def resume(cls, saved: NerfCheckpoint, settings: NerfSettings, device: str, source: Path) -> NerfState:
-        """Return the state that :meth:`checkpoint` wrote down to ``source``."""
+    def resume(cls, saved: Checkpoint, settings: NerfSettings, device: str, source: Path) -> NerfState:
+        """Return the state that :meth:`checkpoint` wrote down into ``source``."""
         generator = torch.Generator()
         made = RadianceField(settings, Space.from_dict(saved.state["space"]), generator)
         named = {n.removeprefix("field."): t for n, t in saved.tensors.items() if n.startswith("field.")}
@@ -130,7 +129,7 @@ class NerfState:
             made,
             optimiser,
             generator,
-            step=int(state["step"]),
+            step=saved.step,
             history=history,
             seconds=dict(state["seconds"]),
             per_ray=float(state["per_ray"]),

@@ -11,10 +11,10 @@ from typing import Any, Final, Protocol
 import torch
 from torch import Tensor
 
+from toolkit.checkpoint import save_checkpoint
 from toolkit.errors import Cancelled, NumericalError
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.metrics.image import psnr
-from toolkit.nerf.checkpoint import save_checkpoint
 from toolkit.nerf.keypoints import KeypointRays, depth_loss, extra_edges
 from toolkit.nerf.occupancy import EVERY
 from toolkit.nerf.photos import NerfPhoto, PixelPool

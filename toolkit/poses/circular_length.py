@@ -8,7 +8,6 @@ than 0.1 mm apart by 0.28; and with those that eight frames saw, which needs no 
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -72,16 +71,5 @@ def long_tracks(scene: Scene, length: int) -> LongTracks:
         if len(seen) and np.quantile(seen, 0.1) >= LEAST_SEEN:
             break
         chosen -= 1
-    keep = count >= chosen
-    rows = keep[tracks.point]
-    number = np.cumsum(keep) - 1
-    kept = dataclasses.replace(
-        points,
-        xyz=points.xyz[keep],
-        rgb=points.rgb[keep],
-        error=None if points.error is None else points.error[keep],
-        tracks=dataclasses.replace(
-            tracks, point=number[tracks.point[rows]], frame=tracks.frame[rows], pixel=tracks.pixel[rows]
-        ),
-    )
-    return LongTracks(scene.replace(points=kept), chosen, len(points), int(keep.sum()))
+    kept = points.observed(count[tracks.point] >= chosen)
+    return LongTracks(scene.replace(points=kept), chosen, len(points), len(kept))

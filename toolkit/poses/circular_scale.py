@@ -9,7 +9,6 @@ and the camera's mount and lens pay for it: more features do not help.
 
 from __future__ import annotations
 
-import dataclasses
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,15 +90,8 @@ def fine_tracks(scene: Scene, database_path: Path, max_scale: float) -> FineTrac
             found=f"a median of {float(np.nanmedian(scale)):.1f} px",
             todo="Raise max_scale, or 0 to keep all",
         )
-    left, number = np.unique(tracks.point[keep], return_inverse=True)
-    chosen = dataclasses.replace(
-        points,
-        xyz=points.xyz[left],
-        rgb=points.rgb[left],
-        error=None if points.error is None else points.error[left],
-        tracks=dataclasses.replace(tracks, point=number, frame=tracks.frame[keep], pixel=tracks.pixel[keep]),
-    )
-    return FineTracks(scene.replace(points=chosen), len(scale), int(keep.sum()), int((keep & untold).sum()))
+    fine = scene.replace(points=points.observed(keep))
+    return FineTracks(fine, len(scale), int(keep.sum()), int((keep & untold).sum()))
 
 
 def feature_scales(scene: Scene, database_path: Path) -> Array:

@@ -62,7 +62,7 @@ def extend_run(
     CapabilityError
         Where its device is not there.
     """
-    from toolkit.splat.checkpoint import Checkpoint, load_newest, save_checkpoint
+    from toolkit.checkpoint import Checkpoint, load_newest, save_checkpoint
 
     record = run.record()
     before = finished_steps(run, record)

@@ -16,6 +16,7 @@ from PIL import Image, UnidentifiedImageError
 from scipy import sparse
 
 from toolkit.errors import DataError
+from toolkit.scene.scene import Frame, Scene
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -112,6 +113,30 @@ def load_grey(path: Path) -> NDArray[np.uint8]:
     mixed = load_picture(path) @ np.array([0.299, 0.587, 0.114])
     grey: NDArray[np.uint8] = np.rint(mixed).astype(np.uint8)
     return grey
+
+
+def load_mask(scene: Scene, frame: Frame) -> NDArray[np.bool_] | None:
+    """Return which pixels (H, W) of a frame's picture count, or None where it has no mask.
+
+    Raises
+    ------
+    DataError
+        Where the mask is damaged or not of its camera's size.
+    """
+    path = scene.mask_path(frame)
+    if path is None:
+        return None
+    with open_picture(path) as image:
+        mask = np.asarray(image.convert("L"), dtype=np.uint8) > 0
+    camera = scene.camera_of(frame)
+    if mask.shape != (camera.height, camera.width):
+        raise DataError(
+            f"Mask {path} does not fit its picture",
+            expected=f"{camera.width}x{camera.height}",
+            found=f"{mask.shape[1]}x{mask.shape[0]}",
+            todo="Write the mask again in the picture's size",
+        )
+    return mask
 
 
 def area_resize(image: NDArray[Value], width: int, height: int) -> NDArray[Value]:

@@ -137,6 +137,25 @@ class Points:
     def __len__(self) -> int:
         return len(self.xyz)
 
+    def observed(self, rows: NDArray[np.bool_]) -> Points:
+        """Return the points with only these rows (T,) of their tracks, without those that have none left.
+
+        Raises
+        ------
+        ValueError
+            Where there are no tracks.
+        """
+        if self.tracks is None:
+            raise ValueError("points without tracks have no observations to choose from")
+        left, number = np.unique(self.tracks.point[rows], return_inverse=True)
+        return dataclasses.replace(
+            self,
+            xyz=self.xyz[left],
+            rgb=self.rgb[left],
+            error=None if self.error is None else self.error[left],
+            tracks=Tracks(number.astype(np.int64), self.tracks.frame[rows], self.tracks.pixel[rows]),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Georeference:

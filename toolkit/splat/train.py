@@ -12,11 +12,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from toolkit.checkpoint import load_newest, require_same
 from toolkit.errors import CapabilityError
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
-from toolkit.splat.checkpoint import load_newest, require_same
 from toolkit.splat.density import DensityChange
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo, load_photos

@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from toolkit.checkpoint import Checkpoint
 from toolkit.scene import PosePrior, Scene
-from toolkit.splat.checkpoint import Checkpoint
 from toolkit.splat.density import DensityChange, DensityControl
 from toolkit.splat.exposure import Exposure
 from toolkit.splat.gaussians import Gaussians

@@ -12,11 +12,11 @@ from typing import Any, Final, Protocol
 import torch
 from torch import Tensor
 
+from toolkit.checkpoint import save_checkpoint
 from toolkit.errors import Cancelled, NumericalError
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.metrics.image import psnr
 from toolkit.progress import Progress, ProgressEvent
-from toolkit.splat.checkpoint import save_checkpoint
 from toolkit.splat.density_rounds import control_density
 from toolkit.splat.evaluate import draw, fixed_background, raster_settings
 from toolkit.splat.exposure import expose

@@ -9,8 +9,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from toolkit.checkpoint import Checkpoint, load_checkpoint, load_newest, require_same, save_checkpoint
 from toolkit.errors import DataError, RunError
-from toolkit.splat.checkpoint import Checkpoint, load_checkpoint, load_newest, require_same, save_checkpoint
 
 
 def checkpoint(step: int) -> Checkpoint:
