@@ -167,7 +167,7 @@ def test_a_mask_of_another_size_is_refused(scene: Scene, tmp_path: Path) -> None
     masks = tmp_path / "masks"
     masks.mkdir()
     Image.new("L", (50, 40)).save(masks / "a.png.png")
-    with pytest.raises(DataError, match=r"a\.png\.png has another size .*expected 160x120; found 50x40"):
+    with pytest.raises(DataError, match=r"a\.png\.png does not fit its picture; expected 160x120; found 50x40"):
         extract_learned(scene.replace(mask_dir=masks), tmp_path / "f.db", SETTINGS["aliked"])
 
 
