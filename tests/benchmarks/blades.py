@@ -43,10 +43,8 @@ from toolkit.metrics.circle import circle_errors, fit_circle
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.poses.arc_sigma import ArcSigma
 from toolkit.poses.circular import close_circle
-from toolkit.poses.circular_length import long_tracks
 from toolkit.poses.circular_result import CircularResult
-from toolkit.poses.circular_scale import fine_tracks
-from toolkit.poses.circular_seam import seam_matches, seam_tracks
+from toolkit.poses.circular_selection import circle_tracks
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import incremental_sfm
 from toolkit.recipes.blades import faint_features, small_step_sfm
@@ -182,6 +180,7 @@ def size_drift(found: Scene, truth: Scene) -> float:
 def measure_circle(work: Path) -> None:
     """A whole turn with shake, as it drifts and closed: lens found or known, seam given or withheld."""
     sample = engine(work, frames=360, stride=10)
+    everything = {"max_scale": 0.0, "min_track": 2}
     captures = {"lens found": unknown_lens(masked(sample, work)), "lens known": masked(sample, work)}
     head(
         f"A whole turn, {sample.settings.film.frames} frames, shake 0.2 %",
@@ -200,16 +199,11 @@ def measure_circle(work: Path) -> None:
         else:
             found = with_lens_found(scene, database, folder).scene
         _circle_row(f"sfm, {name}", found, None, sample, time.perf_counter() - start)
-        joined = seam_tracks(found, seam_matches(found, database)).scene
-        fine_ones = CircularSettings().max_scale
-        for scale in (fine_ones,) if kept else (0.0, fine_ones):
+        for selected in (True,) if kept else (False, True):
             start = time.perf_counter()
-            taken = joined
-            if scale:
-                taken = fine_tracks(joined, database, scale).scene
-                taken = long_tracks(taken, CircularSettings().min_track).scene
-            result = close_circle(taken, CircularSettings(full_turn=not closed).replace(kept))
-            told = f"circle, {'fine features, long tracks' if scale else 'all features'}, {name}"
+            chosen = circle_tracks(found, database, CircularSettings().replace({} if selected else everything))
+            result = close_circle(chosen.scene, CircularSettings(full_turn=not closed).replace(kept))
+            told = f"circle, {'fine features, long tracks' if selected else 'all features'}, {name}"
             _circle_row(told, result.scene, result, sample, time.perf_counter() - start)
 
 

@@ -120,6 +120,9 @@ def test_all_cameras_come_onto_one_circle(
     assert after < 0.01
     assert after < before
     assert result.metrics["circle.arc_sigma_deg"] > 0
+    # Points come from all matches, not from the few that closed the circle.
+    assert result.metrics["sfm.points"] > 0.7 * sequential.metrics["sfm.points"]
+    assert result.reports["circle"]["long"]["kept"] < 0.7 * sequential.metrics["sfm.points"]
     assert result.reports["circle_errors"]["frames"] == 40
 
 

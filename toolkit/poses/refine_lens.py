@@ -7,22 +7,16 @@ radial coefficients find the poses; all coefficients then start at the lens that
 
 from __future__ import annotations
 
-import tempfile
 import time
 from pathlib import Path
 from typing import Final
 
-import pycolmap
-
-from toolkit.files import disk_errors
-from toolkit.matching.colmap_job import run_colmap
-from toolkit.matching.database import copy_database
-from toolkit.poses.camera_start import nearest_camera, with_cameras, write_cameras
+from toolkit.poses.camera_start import nearest_camera, with_cameras
 from toolkit.poses.sfm import SfmSettings, adjust_model
 from toolkit.poses.sfm_result import SfmResult, sfm_result
-from toolkit.poses.triangulation import triangulation_options
-from toolkit.progress import Progress, ProgressEvent, silent
-from toolkit.scene import Scene, scene_from_pycolmap
+from toolkit.poses.triangulation import triangulate, triangulation_options
+from toolkit.progress import Progress, silent
+from toolkit.scene import scene_from_pycolmap
 from toolkit.scene.colmap import colmap_camera
 
 #: The model that finds the poses for one of more coefficients.
@@ -79,30 +73,6 @@ def refine_lens(
     cameras = {number: nearest_camera(camera, model) for number, camera in used.items()}
     before = {number: camera.to_pycolmap(number) for number, camera in cameras.items()}
     scene = with_cameras(found.scene, cameras)
-    with disk_errors(work_dir, "writing"):
-        work_dir.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=work_dir, prefix=".lens.", suffix=".tmp") as temporary:
-        copy = Path(temporary) / "matches.db"
-        copy_database(database_path, copy)
-        write_cameras(copy, cameras)
-        for _ in range(_ROUNDS):
-            model_found = _triangulate(scene, copy, settings, seed, progress)
-            report = adjust_model(model_found, scene, settings, progress)
-            scene = scene_from_pycolmap(model_found, scene.image_dir, like=scene)
-    return sfm_result(
-        model_found,
-        scene,
-        models=found.models,
-        before=before,
-        adjustment=report,
-        seconds={**found.seconds, "lens": time.perf_counter() - start},
-    )
-
-
-def _triangulate(
-    scene: Scene, database_path: Path, settings: SfmSettings, seed: int, progress: Progress
-) -> pycolmap.Reconstruction:
-    """Return the scene's poses and cameras with points made anew from all matches."""
     options = triangulation_options(
         degrees=_DEGREES,
         pixels=settings.max_error,
@@ -112,18 +82,15 @@ def _triangulate(
         threads=settings.threads,
         adjusted=True,
     )
-
-    def call(_: pycolmap.CancellationToken) -> pycolmap.Reconstruction:
-        return pycolmap.triangulate_points(
-            scene.replace(points=None).to_pycolmap(),
-            database_path,
-            scene.image_dir,
-            # COLMAP writes the model here, and to a folder beside it first.
-            database_path.parent / "model",
-            clear_points=True,
-            options=options,
-            refine_intrinsics=False,
-        )
-
-    placed = len(scene.registered)
-    return run_colmap(call, lambda: ProgressEvent("sfm", placed, len(scene), "triangulating again"), progress)
+    for _ in range(_ROUNDS):
+        refined = triangulate(scene, database_path, options, progress=progress, work_dir=work_dir)
+        report = adjust_model(refined, scene, settings, progress)
+        scene = scene_from_pycolmap(refined, scene.image_dir, like=scene)
+    return sfm_result(
+        refined,
+        scene,
+        models=found.models,
+        before=before,
+        adjustment=report,
+        seconds={**found.seconds, "lens": time.perf_counter() - start},
+    )

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from toolkit import capture, matching, poses
-from toolkit.capture.mask_files import with_mask
-from toolkit.capture.static_mask import StaticMaskSettings, find_static_mask
-from toolkit.capture.temporal import TemporalSettings, sampled_numbers, temporal_statistics
+from toolkit.capture.static_mask import StaticMaskSettings
+from toolkit.capture.still_structure import mask_what_stands_still
+from toolkit.capture.temporal import TemporalSettings
 from toolkit.errors import StageError
 from toolkit.matching.feature_choice import FeatureSettings, extract_features, match_features
 from toolkit.matching.pairs import PairSettings, choose_pairs
@@ -19,21 +19,21 @@ from toolkit.poses.arc_sigma import arc_sigma
 from toolkit.poses.camera_models import MODELS
 from toolkit.poses.camera_start import counted_as_measured, plain_cameras, with_cameras
 from toolkit.poses.circular import close_circle
-from toolkit.poses.circular_length import long_tracks
-from toolkit.poses.circular_scale import fine_tracks
-from toolkit.poses.circular_seam import seam_matches, seam_tracks
+from toolkit.poses.circular_selection import circle_tracks
 from toolkit.poses.circular_settings import CircularSettings
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
+from toolkit.poses.triangulation import triangulate, triangulation_options
 from toolkit.poses.two_step import MATCHES, PassResult, one_step, two_step
-from toolkit.progress import track
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.cached import CachedStage, cached_stage
 from toolkit.recipes.steps import DATABASE, SCENE, features_and_matches
-from toolkit.scene import Scene
+from toolkit.scene import Scene, scene_from_pycolmap
 from toolkit.scene.colmap import colmap_camera
 from toolkit.scene.folder import read_scene, write_scene
-from toolkit.scene.pictures import load_grey
 from toolkit.settings import Boolean, Choice, Group, Number, Settings
+
+# How far a ray may miss a point under the poses of a circle.
+_RAY_DEGREES = 1.0
 
 
 class LensSettings(Settings):
@@ -90,11 +90,14 @@ def masked_capture(
         return data, ()
 
     def masks_into(folder: Path) -> dict[str, Any]:
-        chosen = sampled_numbers(len(scene), settings.temporal.frames, context.seed)
-        frames = [scene.image_path(scene.frames[number]) for number in chosen]
-        looked_at = (load_grey(path) for path in track(frames, "masks.statistics", context.progress))
-        found = find_static_mask(temporal_statistics(looked_at, settings.temporal), settings.static)
-        with_mask(scene, found.mask, folder / "masks", progress=context.progress)
+        _, found = mask_what_stands_still(
+            scene,
+            folder / "masks",
+            settings.temporal,
+            settings.static,
+            seed=context.seed,
+            progress=context.progress,
+        )
         return found.to_dict()
 
     made = cached_stage(
@@ -257,12 +260,15 @@ def on_a_circle(
         # Of undistorted pictures those that were made from them.
         again = posed.folder / SCENE / MATCHES
         database = again if again.is_file() else matched.database
-        joined = seam_tracks(scene, seam_matches(scene, database))
-        fine = fine_tracks(joined.scene, database, settings.max_scale)
-        long = long_tracks(fine.scene, settings.min_track)
-        closed = close_circle(long.scene, settings, seed=context.seed, progress=context.progress)
-        write_scene(closed.scene, folder / SCENE)
-        return {**closed.to_dict(), "seam": joined.to_dict(), "fine": fine.to_dict(), "long": long.to_dict()}
+        chosen = circle_tracks(scene, database, settings)
+        closed = close_circle(chosen.scene, settings, seed=context.seed, progress=context.progress)
+        # Few observations close the circle; under its poses all of them give points.
+        options = triangulation_options(
+            degrees=_RAY_DEGREES, pixels=settings.max_error, min_angle=settings.min_angle, seed=context.seed
+        )
+        model = triangulate(closed.scene, database, options, progress=context.progress, work_dir=folder / "work")
+        write_scene(scene_from_pycolmap(model, closed.scene.image_dir, like=closed.scene), folder / SCENE)
+        return {**closed.to_dict(), **chosen.to_dict()}
 
     return cached_stage(
         context,

@@ -25,13 +25,13 @@ def circle_metrics(scene: Scene, reference: Scene | None) -> tuple[dict[str, flo
     try:
         fit = fit_circle(scene.centres())
     except StageError as error:
-        return metrics, {**reports, "circle": {"reason": str(error)}}
+        return metrics, {**reports, "circle_fit": {"reason": str(error)}}
     metrics |= {
         "circle.arc_deg": fit.arc_degrees,
         "circle.radius_spread": fit.radius_spread,
         "circle.out_of_plane": fit.out_of_plane_rms,
     }
-    reports["circle"] = fit.to_dict()
+    reports["circle_fit"] = fit.to_dict()
     if reference is not None and reference.registered:
         errors = circle_errors(scene, reference)
         found = errors.to_dict()
