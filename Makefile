@@ -75,6 +75,7 @@ bench: $(VENV)/.dev  ## Measure (four hours): rasterizer, training, poses, SLAM,
 	$(BIN)/python tests/benchmarks/drone_poses.py --runs runs/bench-drone
 	$(BIN)/python tests/benchmarks/slam.py --work runs/bench-slam
 	$(BIN)/python tests/benchmarks/blades.py
+	$(BIN)/python tests/benchmarks/circle_budget.py
 	$(BIN)/python tests/benchmarks/temple_ring.py
 	$(BIN)/python tests/benchmarks/stereo.py
 	$(BIN)/python tests/benchmarks/dashboard.py
