@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -123,7 +124,7 @@ def drift(scene: Scene, database: Path, sample: EngineSample) -> None:
         expected = camera.project(seen.cam_from_world.apply(places[next_to[rows]]))
         moved[rows] = tracks.pixel[order][next_to[rows] + 1] - expected
     head("Drift of features against the surface, along the picture's width", "scale (px)", "pairs", "median (px)")
-    for low, high in zip(SCALES[:-1], SCALES[1:], strict=True):
+    for low, high in itertools.pairwise(SCALES):
         chosen = (scale[next_to] >= low) & (scale[next_to] < high) & np.isfinite(moved).all(axis=1)
         row(f"{low:g} to {high:g}", int(chosen.sum()), f"{np.median(moved[chosen, 0]):+.4f}")
 
