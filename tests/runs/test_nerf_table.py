@@ -62,7 +62,7 @@ def test_a_row_has_its_measures_with_the_papers_beside_them(tmp_path: Path) -> N
     assert f"| DS-NeRF, 250 frames, weight 0.1 | {ours} | not in source |" in text
     # As many cells in each line as in the head.
     assert len({line.count("|") for line in text.splitlines() if line.startswith("|")}) == 1
-    assert "every 4th frame of them taken" in text
+    assert "one frame in 4 of it" in text
     assert "warm start takes" not in text
     file = write_nerf_tables([first, second], tmp_path / "out").read_text(encoding="utf-8")
     assert (file.count("## film"), file.count("### Table 2"), file.count("### Table 3")) == (1, 2, 1)

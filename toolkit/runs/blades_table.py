@@ -10,7 +10,7 @@ from typing import Final
 from toolkit.files import write_text
 from toolkit.runs.paper_rows import PaperRow
 from toolkit.runs.paper_runs import Attempt
-from toolkit.runs.result import StoredResult
+from toolkit.runs.row_cells import number_cell, seconds_cell
 
 _RECIPE: Final = "blades-sequential"
 #: Widths of the picture from which an unknown lens starts: the engine's has 0.64.
@@ -78,9 +78,10 @@ class ArcTable:
         result = attempt.run.result()
         metrics = result.metrics
         frames = f"{metrics['sfm.registered']:.0f} of {metrics['sfm.images']:.0f}"
-        cells = [_cell(metrics.get(metric), digits) for _, metric, digits in _COLUMNS]
-        sigma = _cell(metrics.get("circle.arc_sigma_deg"), 1)
-        return f"| {' | '.join([attempt.row.title, frames, cells[0], sigma, *cells[1:], _seconds(result), told])} |"
+        cells = [number_cell(metrics.get(metric), digits) for _, metric, digits in _COLUMNS]
+        sigma = number_cell(metrics.get("circle.arc_sigma_deg"), 1)
+        row = [attempt.row.title, frames, cells[0], sigma, *cells[1:], seconds_cell(result), told]
+        return f"| {' | '.join(row)} |"
 
     def _notes(self) -> list[str]:
         return [
@@ -113,11 +114,3 @@ def write_arc_tables(tables: Sequence[ArcTable], folder: Path) -> Path:
     path = folder / "table1.md"
     write_text(path, "\n".join(table.markdown() for table in tables))
     return path
-
-
-def _cell(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _seconds(result: StoredResult) -> str:
-    return f"{sum(time.seconds for time in result.times if time.name != 'measure'):.0f}"

@@ -52,7 +52,7 @@ def describe_threads() -> dict[str, Any]:
     """Return how many threads the kernels use: results are only the same to the bit with the same numbers."""
     import torch
 
-    from toolkit.splat.cpu.kernels import thread_count
+    from toolkit.geometry.compiled import thread_count
 
     return {
         "torch": torch.get_num_threads(),

@@ -10,7 +10,7 @@ from typing import Any, Final
 from toolkit.files import write_text
 from toolkit.runs.paper_rows import PaperRow
 from toolkit.runs.paper_runs import Attempt
-from toolkit.runs.result import StoredResult
+from toolkit.runs.row_cells import number_cell, seconds_cell
 
 #: Equal for all rows: true poses, sparse points triangulated from faint features, what does not turn masked.
 COMMON: Final[Mapping[str, Any]] = {
@@ -138,9 +138,9 @@ class NerfTable:
         return "\n".join([*parts, *(f"- {note}" for note in self._notes())]) + "\n"
 
     def _notes(self) -> list[str]:
-        every = "every frame" if self.stride == 1 else f"every {self.stride}th frame"
+        every = "every frame" if self.stride == 1 else f"one frame in {self.stride}"
         notes = [
-            f"A segment of n frames is the first n of one film, {every} of them taken: the column frames has how "
+            f"A segment of n frames is the first n of one film, {every} of it: the column frames has how "
             "many pictures that are, every eighth of them a test picture. So all rows are in one world, as a warm "
             "start needs; the poses are the true ones, where the paper has those of SIMPLE_RADIAL.",
             f"Sparse points are triangulated from each picture and the {self.window} that follow it; every pair "
@@ -197,10 +197,9 @@ def _line(attempt: Attempt) -> str:
         return f"| {attempt.row.title} | {attempt.brief} |" + " |" * (len(_COLUMNS) + 1) + f" {paper} |"
     result = attempt.run.result()
     metrics = result.metrics
-    cells = [_cell(_metric(metrics, name), factor, digits) for _, name, factor, digits in _COLUMNS]
-    return (
-        f"| {' | '.join([attempt.row.title, _cell(metrics.get('sfm.images')), *cells, _seconds(result), paper])} |"
-    )
+    cells = [number_cell(_metric(metrics, name), digits, factor) for _, name, factor, digits in _COLUMNS]
+    told = [attempt.row.title, number_cell(metrics.get("sfm.images")), *cells, seconds_cell(result), paper]
+    return f"| {' | '.join(told)} |"
 
 
 def _metric(metrics: Mapping[str, float | None], name: str) -> float | None:
@@ -208,11 +207,3 @@ def _metric(metrics: Mapping[str, float | None], name: str) -> float | None:
     if name != _LPIPS:
         return metrics.get(name)
     return next((value for key, value in metrics.items() if key.startswith(name)), None)
-
-
-def _cell(value: float | None, factor: float = 1.0, digits: int = 0) -> str:
-    return "–" if value is None else f"{factor * value:.{digits}f}"
-
-
-def _seconds(result: StoredResult) -> str:
-    return f"{sum(time.seconds for time in result.times if time.name != 'measure'):.0f}"

@@ -32,7 +32,7 @@ def use_threads(count: int) -> None:
     import numba
     import torch
 
-    from toolkit.splat.cpu.kernels import thread_count
+    from toolkit.geometry.compiled import thread_count
 
     torch.set_num_threads(count)
     thread_count()  # numba chooses its threading layer by being asked: ours first
@@ -46,7 +46,7 @@ def threads(count: int) -> Iterator[None]:
     import numba
     import torch
 
-    from toolkit.splat.cpu.kernels import thread_count
+    from toolkit.geometry.compiled import thread_count
 
     before = {name: os.environ.get(name) for name in VARIABLES}
     torch_before, numba_before = torch.get_num_threads(), thread_count()
