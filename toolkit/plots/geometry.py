@@ -22,6 +22,8 @@ LONGEST_SIDE = 480
 # Even steps of it look even, in print and to the colour-blind, too (Smith and van der Walt, 2015).
 _SCALE = "viridis"
 _WIDTH = 950
+#: Least distance of a histogram, in the largest.
+_SPAN = 1e-4
 
 
 def error_cloud(
@@ -72,29 +74,34 @@ def error_cloud(
 
 
 def error_histogram(errors: Mapping[str, Array], *, unit: str = "m", title: str = "", bins: int = 60) -> go.Figure:
-    """Draw how the distances of several surfaces are spread; those beyond the 99th of 100 are in the last bin.
+    """Draw how the distances of several surfaces are spread, over bins that grow with the distance.
+
+    Methods differ by tens: in even bins the better ones would share the first. Distances below the first in a
+    hundred, and beyond the 99th, of all surfaces are in the first and the last bin.
 
     Raises
     ------
     DataError
         Without errors.
     """
-    if not any(len(values) for values in errors.values()):
+    known = {label: values for label, values in errors.items() if len(values)}
+    if not known:
         raise DataError("No errors to draw", expected="distances", found=f"{len(errors)} empty lists")
-    upper = max(float(np.percentile(values, 99)) for values in errors.values() if len(values)) or 1.0
-    edges = np.linspace(0.0, upper, bins + 1)
+    upper = max(float(np.percentile(values, 99)) for values in known.values()) or 1.0
+    lower = min(*(float(np.percentile(values, 1)) for values in known.values()), upper / 2)
+    edges = np.geomspace(max(lower, upper * _SPAN), upper, bins + 1)
     drawn = figure(title, 360, xaxis_title=f"distance in {shown(unit)}", yaxis_title="share of points")
     for position, (label, values) in enumerate(errors.items()):
-        if len(values):
-            counts, _ = np.histogram(np.minimum(values, upper), edges)
+        if label in known:
+            counts, _ = np.histogram(np.clip(values, edges[0], edges[-1]), edges)
             drawn.add_scatter(
-                x=0.5 * (edges[:-1] + edges[1:]),
+                x=np.sqrt(edges[:-1] * edges[1:]),
                 y=counts / len(values),
                 name=shown(label),
                 mode="lines",
                 line={"shape": "hvh", "color": colour(position)},
             )
-    drawn.update_xaxes(rangemode="tozero")
+    drawn.update_xaxes(type="log")
     drawn.update_yaxes(rangemode="tozero", tickformat=".0%")
     return drawn
 
