@@ -45,7 +45,7 @@ from toolkit.scene.pictures import load_picture
 from toolkit.splat.depth_views import splat_depth_views
 from toolkit.splat.ply import read_splats
 
-METHODS = ("mvs-poisson", "splat-mesh", "depth-fusion", "nerf", "ds-nerf")
+METHODS = ("mvs-poisson", "splat-mesh", "depth-fusion", "ds-nerf")
 #: Width of a picture on the sheet; the error at the end of the colours, in shares of the median depth.
 _WIDE, _WORST = 320, 0.03
 #: From where meshes are lit, in camera axes.
@@ -90,9 +90,9 @@ def _real(name: str) -> Callable[[Path], Path]:
 
 DATA = {
     "engine": Data(_engine, _of_engine),
-    "town": Data(_town),
-    "fountain": Data(_real("strecha_fountain_p11"), lambda _: {"stereo.max_side": 768}),
-    "herz-jesus": Data(_real("strecha_herz_jesus_p25"), lambda _: {"stereo.max_side": 576}),
+    "town": Data(_town, lambda _: {"stereo.max_side": 320}),
+    "fountain": Data(_real("strecha_fountain_p11"), lambda _: {"stereo.max_side": 576}),
+    "herz-jesus": Data(_real("strecha_herz_jesus_p25"), lambda _: {"stereo.max_side": 384}),
 }
 
 
@@ -100,7 +100,7 @@ def settings_of(method: str, common: Mapping[str, Any], steps: int, depth: Path 
     """Return what changes in a method's settings; ``depth`` is the folder of maps that ``depth-fusion`` takes."""
     stereo = {name: value for name, value in common.items() if name.startswith("stereo.")}
     rest = {"scene.way": "given", **{name: value for name, value in common.items() if name not in stereo}}
-    if method in ("nerf", "ds-nerf"):
+    if method == "ds-nerf":
         return {**rest, "train.steps": steps, "train.max_side": 320}
     if method == "splat-mesh":
         return {**rest, "train.steps": steps, "train.max_side": 480}
@@ -212,7 +212,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--data", nargs="+", choices=DATA, default=list(DATA), help="which data sets [all]")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), help="[all]")
-    parser.add_argument("--steps", type=int, default=1500, help="of every training [1500]")
+    parser.add_argument("--steps", type=int, default=1000, help="of every training [1000]")
     parser.add_argument(
         "--work", type=Path, default=Path("runs/bench-surfaces"), help="folder for runs and pictures"
     )

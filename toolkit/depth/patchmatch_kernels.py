@@ -15,38 +15,12 @@ from numba import prange
 
 from toolkit.depth.patchmatch_cost import LEAST_FACING, plane_cost, window_grid, window_of
 from toolkit.geometry.compiled import inlined_kernel, kernel, parallel_kernel
+from toolkit.geometry.hashed_random import begin, draw
 
 Array = np.ndarray[Any, Any]
 
 # How far away the farther pixels are: odd, so that they are of the other colour.
 _FARTHER: Final = (3, 5, 7, 9, 11)
-# Of splitmix64 (Steele et al. 2014).
-_GOLDEN, _MIX_1, _MIX_2 = (
-    np.uint64(0x9E3779B97F4A7C15),
-    np.uint64(0xBF58476D1CE4E5B9),
-    np.uint64(0x94D049BB133111EB),
-)
-_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
-_UNIT: Final = 1.0 / (1 << 53)
-
-
-@inlined_kernel
-def _mixed(state: Any) -> Any:
-    z = (state ^ (state >> _S30)) * _MIX_1
-    z = (z ^ (z >> _S27)) * _MIX_2
-    return z ^ (z >> _S31)
-
-
-@inlined_kernel
-def _draw(state: Array) -> float:
-    """Return the next number in [0, 1) of the stream whose state is ``state[0]``."""
-    state[0] += _GOLDEN
-    return float(_mixed(state[0]) >> _S11) * _UNIT
-
-
-@inlined_kernel
-def _begin(state: Array, seed: int, row: int, column: int) -> None:
-    state[0] = _mixed(_mixed(_mixed(np.uint64(seed)) + np.uint64(row)) + np.uint64(column))
 
 
 @inlined_kernel
@@ -58,7 +32,7 @@ def _faces(n0: float, n1: float, n2: float, rx: float, ry: float) -> bool:
 @kernel
 def _turned(n0: float, n1: float, n2: float, rx: float, ry: float, by: float, state: Array) -> Any:
     """Return a normal changed at random by about ``by`` radians, or at will where it is negative."""
-    a, b, c = 2.0 * _draw(state) - 1.0, 2.0 * _draw(state) - 1.0, 2.0 * _draw(state) - 1.0
+    a, b, c = 2.0 * draw(state) - 1.0, 2.0 * draw(state) - 1.0, 2.0 * draw(state) - 1.0
     if by > 0.0:
         a, b, c = n0 + by * a, n1 + by * b, n2 + by * c
     size = np.sqrt(a * a + b * b + c * c) + 1e-12
@@ -84,8 +58,8 @@ def random_planes(depth: Array, normal: Array, reference: Any, nearest: float, f
     for row in prange(height):
         state = np.empty(1, np.uint64)
         for column in range(width):
-            _begin(state, seed, row, column)
-            share = _draw(state)
+            begin(state, seed, row, column)
+            share = draw(state)
             depth[row, column] = 1.0 / (share / nearest + (1.0 - share) / farthest)
             rx, ry = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
             a, b, c = _turned(0.0, 0.0, -1.0, rx, ry, -1.0, state)
@@ -214,7 +188,7 @@ def search_colour(
                 continue
             mean, variance = window_of(picture, row, column, radius, step, colour, weights, values)
             window = (grid, weights, values, mean, variance)
-            _begin(state, seed, row, column)
+            begin(state, seed, row, column)
             x, y = column + 0.5, row + 0.5
             rx, ry = (x - cx) / fx, (y - cy) / fy
             d, least = float(depth[row, column]), float(cost[row, column])
@@ -236,9 +210,9 @@ def search_colour(
                 else:
                     new, a, b, c = d, n0, n1, n2
                     if trial == 8 or trial == 10:
-                        new = d * (1.0 + pixels * pixel_depth * d * (2.0 * _draw(state) - 1.0))
+                        new = d * (1.0 + pixels * pixel_depth * d * (2.0 * draw(state) - 1.0))
                     elif trial == 11:
-                        share = _draw(state)
+                        share = draw(state)
                         new = 1.0 / (share / nearest + (1.0 - share) / farthest)
                     if trial == 9 or trial == 10:
                         a, b, c = _turned(n0, n1, n2, rx, ry, turn, state)

@@ -1,0 +1,147 @@
+"""Heights matched over the ground: the compiled cost and its twin, a computed block of houses, holes, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from toolkit.depth.height_cost import slow_patch_cost
+from toolkit.depth.height_kernels import cost_patches, ground_window, hide_views
+from toolkit.depth.height_map import GroundView, HeightMap, _Layer, fill_low, match_heights
+from toolkit.depth.height_settings import HeightSearchSettings, HeightSettings
+from toolkit.errors import DataError, StageError
+from toolkit.geometry.affine_camera import AffineCamera
+from toolkit.geometry.compiled import launching
+from toolkit.geometry.ground_grid import GroundGrid
+
+SIDE, CELL = 48, 0.5
+BOX = np.array([[0.0, 0.0, 0.0], [SIDE * CELL, SIDE * CELL, 12.0]])
+LEANING = [(0.0, 0.05), (0.35, 0.1), (-0.3, 0.2), (0.1, -0.4), (-0.2, -0.25)]
+
+
+def truth(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A flat roof and a sloping one on gently sloping ground."""
+    ground = 1.0 + 0.05 * x
+    flat = (x > 6) & (x < 12) & (y > 8) & (y < 17)
+    sloping = (x > 15) & (x < 21) & (y > 5) & (y < 12)
+    return np.where(flat, 8.0, np.where(sloping, 4.0 + 0.4 * (y - 5), ground))
+
+
+SHEET = ndimage.gaussian_filter(np.random.default_rng(4).random((256, 256)), 1.2, mode="wrap")
+
+
+def paint(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+    sheet = (SHEET - SHEET.min()) / (SHEET.max() - SHEET.min())
+    at = np.stack([4 * y + 9 * (z > 3), 4 * x + 17 * (z > 3)])
+    return ndimage.map_coordinates(sheet, at, order=1, mode="wrap")
+
+
+def view(leaning: tuple[float, float]) -> GroundView:
+    """What a sensor sees along the direction that leans so: rays are followed from the highest roof down."""
+    east, north = leaning
+    # A ray through (x, y, z) meets height 0 at (x, y) - z (east, north): pixels are cells of that plane.
+    rows = np.array([[1, 0, -east, 4.0], [0, -1, north, SIDE * CELL + 4.0]]) / CELL
+    size = SIDE + 16
+    camera, cam_from_world = AffineCamera.from_matrix(rows, size, size)
+    column, row = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
+    x0, y0 = column * CELL - 4.0, SIDE * CELL + 4.0 - row * CELL
+    grey = np.full((size, size), np.nan)
+    for z in np.arange(12.0, -0.01, -0.04):
+        x, y = x0 + z * east, y0 + z * north
+        met = np.isnan(grey) & (truth(x, y) >= z)
+        grey[met] = paint(x[met], y[met], truth(x, y)[met])
+    return GroundView(grey.astype(np.float32), camera, cam_from_world)
+
+
+@pytest.fixture(scope="module")
+def views() -> list[GroundView]:
+    return [view(leaning) for leaning in LEANING]
+
+
+GRID = GroundGrid.over(BOX, CELL)
+
+
+@pytest.fixture(scope="module")
+def found(views: list[GroundView]) -> HeightMap:
+    return match_heights(views, GRID, (0.0, 12.0), HeightSettings(), seed=1)
+
+
+def test_the_compiled_cost_is_that_of_the_readable_twin(views: list[GroundView]) -> None:
+    search = HeightSearchSettings(radius=3)
+    layer = _Layer.of(views, GRID, 0, search)
+    rng = np.random.default_rng(0)
+    planes = np.dstack([rng.uniform(0, 12, (SIDE, SIDE)), rng.uniform(-0.8, 0.8, (SIDE, SIDE, 2))])
+    cost = np.empty((SIDE, SIDE))
+    with launching():
+        cost_patches(planes, cost, layer.seen, GRID.first, layer.views, layer.window, 0.6, search.slope_cost)
+    places = GRID.places()
+    for i, j in rng.integers(0, SIDE, (60, 2)):
+        h, p, q = planes[i, j]
+        slow = slow_patch_cost(
+            [(v.grey, v.camera, v.cam_from_world) for v in views], (*places[i, j], h), (p, q), CELL, search
+        )
+        # Brightness and samples are float32 in the kernel.
+        assert cost[i, j] == pytest.approx(slow, abs=2e-4)
+
+
+def test_a_block_of_houses_is_found(found: HeightMap) -> None:
+    x, y = np.moveaxis(GRID.places(), -1, 0)
+    error = np.abs(found.heights - truth(x, y))
+    # Cells of half a metre: a tenth of one in the flat; along walls a window sees both sides.
+    assert np.median(error) < 0.06
+    assert error.mean() < 0.5
+    assert (error < 0.5).mean() > 0.9
+    assert found.to_dict()["views"] == 5
+    assert found.to_dict()["known"] == 1.0
+
+
+def test_the_same_seed_gives_the_same_heights(views: list[GroundView], found: HeightMap) -> None:
+    again = match_heights(views, GRID, (0.0, 12.0), HeightSettings(), seed=1)
+    np.testing.assert_array_equal(again.heights, found.heights)
+
+
+def test_walls_hide_cells_behind_them() -> None:
+    heights = np.zeros((9, 9), np.float32)
+    heights[:, 4] = 10.0
+    seen = np.full((9, 9), 3, np.uint64)
+    # One view from above, one whose rays lean to the east, a metre for each metre up.
+    with launching():
+        hide_views(heights, 1.0, np.array([[0.0, 0.0], [1.0, 0.0]]), 0.5, 12.0, seen)
+    assert (seen[:, :4] == 1).all()
+    assert (seen[:, 4:] == 3).all()
+
+
+def test_holes_get_the_low_side_of_their_rim() -> None:
+    heights = np.full((7, 7), 10.0, np.float32)
+    heights[:, :3] = 2.0
+    heights[2:5, 3:5] = np.nan
+    filled = fill_low(heights)
+    assert (filled[2:5, 3:5] == 2.0).all()
+    with pytest.raises(StageError, match="No height is known"):
+        fill_low(np.full((3, 3), np.nan, np.float32))
+
+
+def test_a_window_has_weights_of_sum_one() -> None:
+    grid, weights = ground_window(3, 1, 0.5)
+    assert len(weights) == 56
+    assert weights.sum() == pytest.approx(1.0, abs=1e-6)
+    assert (weights[49:] == 0).all()
+    assert abs(grid).max() == 1.5
+
+
+def test_bad_input_is_told(views: list[GroundView]) -> None:
+    with pytest.raises(StageError, match="2 to 64 views; found 1 of them"):
+        match_heights(views[:1], GRID, (0.0, 12.0), HeightSettings())
+    with pytest.raises(StageError, match="range of heights is empty"):
+        match_heights(views, GRID, (5.0, 5.0), HeightSettings())
+    with pytest.raises(StageError, match="All views look along one direction"):
+        match_heights([views[0], views[0]], GRID, (0.0, 12.0), HeightSettings())
+    elsewhere = GroundGrid(5000.0, 5000.0, CELL, 20, 20)
+    with pytest.raises(StageError, match="No cell is seen by two views"):
+        match_heights(views, elsewhere, (0.0, 12.0), HeightSettings())
+    with pytest.raises(DataError, match="A grid without cells"):
+        GroundGrid(0.0, 0.0, 0.5, 0, 4)
+    with pytest.raises(DataError, match="not of its camera's size"):
+        GroundView(np.zeros((3, 3), np.float32), views[0].camera, views[0].cam_from_world)

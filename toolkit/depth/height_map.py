@@ -1,0 +1,362 @@
+"""A digital surface model by matching over the ground: which height, put there, looks alike in all views?
+
+Satellites look almost straight down from far away, so that the ground itself is the natural frame: there is no
+reference picture, every view takes part in every cell, and what comes out is the map that is wanted. The search is
+that of PatchMatch stereo with slanted windows (Bleyer et al. 2011) on a grid of heights and slopes. What one tall
+building hides in one view another one sees: views from which the first heights hide a cell take no part in a second
+search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from toolkit.depth.height_kernels import (
+    WORST,
+    cost_patches,
+    ground_window,
+    hide_views,
+    random_patches,
+    search_patches,
+)
+from toolkit.depth.height_settings import HeightFillSettings, HeightSearchSettings, HeightSettings
+from toolkit.errors import DataError, StageError
+from toolkit.geometry.affine_camera import AffineCamera
+from toolkit.geometry.compiled import launching
+from toolkit.geometry.ground_grid import GroundGrid
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.progress import Progress, ProgressEvent, silent
+from toolkit.scene.pictures import area_resize
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+STAGE = "heights"
+_MOST_VIEWS = 64  # bits of a mask
+_LEAST_SIDE = 16  # cells of the smallest grid
+_MORE_ROUNDS = 3  # at the smallest size, which starts at random
+_PIXELS, _TURN = 3.0, 0.4  # first changes of a height, in pixels of parallax, and of a slope; rounds halve them
+_HIDING = 1.0  # cells by which a wall must rise above a ray
+
+
+@dataclass(frozen=True, slots=True)
+class GroundView:
+    """A picture with an affine camera.
+
+    Attributes
+    ----------
+    grey:
+        (height, width) float32 brightness, 0 to 1; NaN where it is masked.
+    camera, cam_from_world:
+        From the scene's east-north-up metres to pixels.
+    """
+
+    grey: Image
+    camera: AffineCamera
+    cam_from_world: RigidTransform
+
+    def __post_init__(self) -> None:
+        if self.grey.shape != (self.camera.height, self.camera.width):
+            raise DataError(
+                "A picture is not of its camera's size",
+                expected=f"{(self.camera.height, self.camera.width)}",
+                found=str(self.grey.shape),
+            )
+
+    @property
+    def matrix(self) -> Array:
+        """(2, 4) pixels from (east, north, up, 1)."""
+        moved = np.column_stack([self.cam_from_world.rotation, self.cam_from_world.translation])
+        moved[2] = 0, 0, 0, 1
+        return self.camera.intrinsics[:2] @ moved
+
+    @property
+    def leaning(self) -> tuple[float, float]:
+        """Metres east and north by which a ray to the sensor leans for each metre up."""
+        towards = -self.cam_from_world.rotation[2]
+        return float(towards[0] / towards[2]), float(towards[1] / towards[2])
+
+
+@dataclass(frozen=True, slots=True)
+class HeightMap:
+    """Heights over the ground.
+
+    Attributes
+    ----------
+    grid:
+        Where the cells lie.
+    heights:
+        (rows, columns) float32 metres up; NaN where nothing is known.
+    confidence:
+        (rows, columns) float32 mean correlation of the views, 0 to 1.
+    filled:
+        (rows, columns) bool where the height was filled in, and not found.
+    views:
+        How many took part.
+    """
+
+    grid: GroundGrid
+    heights: Image
+    confidence: Image
+    filled: NDArray[np.bool_]
+    views: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a report tells."""
+        known = np.isfinite(self.heights)
+        return {
+            "rows": self.grid.rows,
+            "columns": self.grid.columns,
+            "resolution": self.grid.resolution,
+            "views": self.views,
+            "known": float(known.mean()),
+            "filled": float(self.filled.mean()),
+            "confidence": float(self.confidence.mean()),
+        }
+
+
+def match_heights(
+    views: Sequence[GroundView],
+    grid: GroundGrid,
+    height_range: tuple[float, float],
+    settings: HeightSettings,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> HeightMap:
+    """Return the height of each cell at which the views look most alike.
+
+    Parameters
+    ----------
+    views:
+        Two at least, of one piece of ground.
+    grid:
+        Of the result; ``settings.resolution`` has no say here.
+    height_range:
+        Lowest and highest metres up.
+    seed:
+        Of all random choices; the number of threads changes nothing.
+
+    Raises
+    ------
+    StageError
+        With fewer than two views, views that all look along one direction, or where no cell is seen by two.
+    Cancelled
+        Where ``progress`` says so.
+    """
+    _check(views, height_range)
+    search = settings.search
+    levels = range(max(1, min(search.levels, 1 + int(np.log2(max(min(grid.rows, grid.columns) / _LEAST_SIDE, 1))))))
+    step = _Steps(progress, sum(_rounds(search, level, levels) for level in levels))
+    planes: Array | None = None
+    layer = None
+    for level in reversed(levels):
+        before, layer = layer, _Layer.of(views, grid, level, search)
+        if planes is None or before is None:
+            planes = layer.blank()
+            with launching():
+                random_patches(planes, *height_range, seed)
+        else:
+            planes = _enlarged(planes, before.grid, layer.grid)
+        cost = layer.search(planes, height_range, search, _rounds(search, level, levels), seed + 7919 * level, step)
+    assert planes is not None
+    assert layer is not None
+    if search.hidden_views:
+        layer.hide(planes[..., 0], height_range[1])
+        cost = layer.search(planes, height_range, search, search.iterations - 1, seed + 104_729, step)
+    if not (cost < WORST).any():
+        raise StageError(
+            "No cell is seen by two views",
+            expected="pictures that overlap on the ground, in the range of heights",
+            found=f"{len(views)} views, heights {height_range[0]:g} to {height_range[1]:g} m",
+            todo="Look at the footprints; give the range of heights above the scene's origin",
+        )
+    heights = planes[..., 0].astype(np.float32)
+    confidence = np.clip(1 - cost, 0, 1).astype(np.float32)
+    kept = _kept(heights, confidence, settings.keep)
+    filled = np.isnan(kept) if settings.keep.fill == "low" else np.zeros(kept.shape, bool)
+    whole = fill_low(kept) if settings.keep.fill == "low" else kept
+    return HeightMap(grid, _smoothed(whole, settings.keep.median), confidence, filled, len(views))
+
+
+def _check(views: Sequence[GroundView], height_range: tuple[float, float]) -> None:
+    if not 2 <= len(views) <= _MOST_VIEWS:
+        raise StageError(
+            "Heights cannot be matched", expected=f"2 to {_MOST_VIEWS} views", found=f"{len(views)} of them"
+        )
+    if not height_range[0] < height_range[1]:
+        raise StageError("The range of heights is empty", expected="lowest, then highest", found=str(height_range))
+    leaning = np.array([view.leaning for view in views])
+    if np.ptp(leaning, axis=0).max() < 1e-3:
+        raise StageError(
+            "All views look along one direction, which tells no height",
+            expected="directions some degrees apart",
+            found=f"{np.degrees(np.ptp(leaning, axis=0).max()):.2g} degrees",
+        )
+
+
+def _rounds(search: HeightSearchSettings, level: int, levels: range) -> int:
+    last = search.iterations - 1 if level == 0 and search.hidden_views else 0
+    return search.iterations + (_MORE_ROUNDS if level == levels[-1] else 0) + last
+
+
+class _Steps:
+    """Tells progress of rounds over all cells."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def __call__(self) -> None:
+        self._done = min(self._done + 1, self._total)
+        self._progress(ProgressEvent(STAGE, self._done, self._total))
+
+
+@dataclass(slots=True)
+class _Layer:
+    """Grid and pictures at one size, as the kernels take them."""
+
+    grid: GroundGrid
+    views: tuple[Any, ...]
+    window: tuple[Any, ...]
+    seen: NDArray[np.uint64]
+    leaning: Array
+    parallax: float  # metres of height for a pixel
+
+    @classmethod
+    def of(cls, views: Sequence[GroundView], grid: GroundGrid, level: int, search: HeightSearchSettings) -> _Layer:
+        factor = 2**level
+        coarse = grid.coarser(factor) if level else grid
+        pictures, maps = [], []
+        for view in views:
+            height, width = (max(2, round(side / factor)) for side in view.grey.shape)
+            picture = view.grey if level == 0 else area_resize(view.grey, width, height)
+            scale = np.array([width / view.camera.width, height / view.camera.height])
+            pictures.append(np.ascontiguousarray(picture, np.float32))
+            maps.append((view.matrix * scale[:, None]).ravel())
+        starts = np.concatenate([[0], np.cumsum([p.size for p in pictures])[:-1]])
+        layout = np.array([(at, *p.shape) for at, p in zip(starts, pictures, strict=True)], np.int64)
+        packed = (np.concatenate([p.ravel() for p in pictures]), layout, np.array(maps))
+        seen = np.full((coarse.rows, coarse.columns), 2 ** len(views) - 1, np.uint64)
+        lift = packed[2][:, [2, 6]]
+        spread = float(np.sqrt(((lift - lift.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        leaning = np.array([view.leaning for view in views])
+        window = ground_window(search.radius, search.step, coarse.resolution)
+        return cls(coarse, packed, window, seen, leaning, 1 / max(spread, 1e-9))
+
+    def blank(self) -> Array:
+        return np.zeros((self.grid.rows, self.grid.columns, 3))
+
+    def hide(self, heights: Array, highest: float) -> None:
+        """From now on leave out views from which these heights hide a cell."""
+        # A single wrong cell must not hide its neighbours.
+        clean = ndimage.median_filter(heights, 5)
+        side = self.grid.resolution
+        with launching():
+            hide_views(clean, side, self.leaning, _HIDING * side, float(highest), self.seen)
+
+    def search(
+        self,
+        planes: Array,
+        height_range: tuple[float, float],
+        search: HeightSearchSettings,
+        rounds: int,
+        seed: int,
+        step: _Steps,
+    ) -> Array:
+        """Change ``planes`` to cheaper ones and return their cost."""
+        cost = np.full(planes.shape[:2], WORST)
+        common = (self.seen, self.grid.first, self.views, self.window, search.share / 100, search.slope_cost)
+        with launching():
+            cost_patches(planes, cost, *common)
+        for number in range(rounds):
+            left = 0.5**number
+            with launching():
+                for colour in (0, 1):
+                    search_patches(
+                        colour,
+                        planes,
+                        cost,
+                        *common,
+                        search.steepest,
+                        *height_range,
+                        _PIXELS * left * self.parallax,
+                        _TURN * left,
+                        seed + 104_729 * (number + 1) + colour,
+                    )
+            step()
+        return cost
+
+
+def _enlarged(planes: Array, small: GroundGrid, large: GroundGrid) -> Array:
+    """Return each cell's patch: that of the coarser cell which covers it."""
+    factor = round(small.resolution / large.resolution)
+    i, j = np.arange(large.rows) // factor, np.arange(large.columns) // factor
+    made = planes[np.ix_(i, j)].copy()
+    away = large.places() - small.places()[np.ix_(i, j)]
+    made[..., 0] += (made[..., 1:] * away).sum(axis=-1)
+    return np.ascontiguousarray(made)
+
+
+def _kept(heights: Image, confidence: Image, settings: HeightFillSettings) -> Image:
+    """Return the heights with NaN where they are not trusted."""
+    kept = np.where(confidence >= settings.min_confidence, heights, np.nan).astype(np.float32)
+    if settings.min_island > 0:
+        kept[~_large_pieces(kept, settings.similar, settings.min_island)] = np.nan
+    return kept
+
+
+def _large_pieces(heights: Image, similar: float, least: int) -> NDArray[np.bool_]:
+    """Return which cells belong to connected pieces of similar height with so many cells."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    number = np.arange(heights.size).reshape(heights.shape)
+    pairs = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        joined = np.abs(heights[a] - heights[b]) < similar
+        pairs.append(np.stack([number[a][joined], number[b][joined]]))
+    first, second = np.concatenate(pairs, axis=1)
+    graph = coo_array((np.ones(len(first), bool), (first, second)), shape=(heights.size, heights.size))
+    label = connected_components(graph, directed=False)[1]
+    known = np.isfinite(heights)
+    return known & (np.bincount(label)[label].reshape(heights.shape) >= least)
+
+
+def fill_low(heights: Image, percentile: float = 10.0) -> Image:
+    """Return heights with every hole filled by a low height of its rim.
+
+    What no two views saw is mostly ground beside a wall, so that the rim's low side is the better guess.
+
+    Raises
+    ------
+    StageError
+        Where no height is known.
+    """
+    holes = np.isnan(heights)
+    if holes.all():
+        raise StageError("No height is known", expected="some cells that two views agree on", found="none")
+    label, _ = ndimage.label(holes, np.ones((3, 3)))
+    filled = heights.copy()
+    for number, box in enumerate(ndimage.find_objects(label), start=1):
+        grown = tuple(slice(max(0, side.start - 1), side.stop + 1) for side in box)
+        inside = label[grown] == number
+        rim = ndimage.binary_dilation(inside, np.ones((3, 3))) & ~holes[grown]
+        filled[grown][inside] = np.percentile(heights[grown][rim], percentile)
+    return filled
+
+
+def _smoothed(heights: Image, side: int) -> Image:
+    """Return a median filter of the known heights."""
+    if side == 1:
+        return heights
+    holes = np.isnan(heights)
+    near = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
+    smooth = ndimage.median_filter(heights[tuple(near)], side).astype(np.float32)
+    smooth[holes] = np.nan
+    return smooth
