@@ -23,17 +23,19 @@ MAY_IMPORT: dict[str, set[str]] = {
     "matching": {"geometry", "scene"},
     "poses": {"geometry", "scene", "metrics", "matching"},
     "depth": {"geometry", "scene"},
+    "views": {"geometry", "scene"},
     "splat": {"geometry", "scene", "metrics"},
     "nerf": {"geometry", "scene", "metrics"},
     "recipes": {
-        *("geometry", "scene", "metrics", "samples", "capture", "matching", "poses", "depth", "splat", "nerf"),
+        *("geometry", "scene", "metrics", "samples", "capture", "matching", "poses", "depth", "views"),
+        *("splat", "nerf"),
     },
-    "plots": {"geometry", "scene", "metrics"},
-    "runs": {"geometry", "scene", "metrics", "splat", "recipes", "plots"},
-    "widgets": {"scene", "metrics", "samples", "recipes", "plots", "runs"},
+    "plots": {"geometry", "scene", "metrics", "views"},
+    "runs": {"geometry", "scene", "metrics", "views", "splat", "recipes", "plots"},
+    "widgets": {"scene", "metrics", "samples", "views", "recipes", "plots", "runs"},
     "cli": {"samples", "capture", "poses", "recipes", "runs", "demo", "widgets"},
     "demo": {"samples", "scene", "recipes", "runs"},
-    "notebook": {"samples", "scene", "poses", "plots", "runs"},
+    "notebook": {"samples", "scene", "poses", "views", "plots", "runs"},
 }
 
 # The ground floor knows nobody above it; these are its own inner steps.
