@@ -7,6 +7,7 @@ import re
 import pytest
 
 from toolkit.cli import main
+from toolkit.samples.city import CitySettings
 from toolkit.samples.drone_flights import OrbitVideoSettings, SpiralVideoSettings
 from toolkit.samples.engine import EngineSettings
 from toolkit.samples.make import SampleSettings
@@ -28,6 +29,7 @@ def help_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("orbit-video", OrbitVideoSettings),
         ("spiral-video", SpiralVideoSettings),
         ("engine", EngineSettings),
+        ("city", CitySettings),
     ],
 )
 def test_the_help_of_a_kind_has_its_own_defaults(
@@ -44,7 +46,7 @@ def test_the_help_of_a_kind_has_its_own_defaults(
 
 def test_the_help_of_the_command_lists_the_kinds_and_no_defaults(capsys: pytest.CaptureFixture[str]) -> None:
     said = help_of(capsys, "sample")
-    for kind in ("town", "orbit-video", "spiral-video", "engine"):
+    for kind in ("town", "orbit-video", "spiral-video", "engine", "city"):
         assert kind in said
     assert "--flight" not in said
 

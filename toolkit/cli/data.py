@@ -24,6 +24,7 @@ _KINDS = {
     "orbit-video": ("A filmed flight around the town.", "--flight.frames 180"),
     "spiral-video": ("A filmed flight over the town that widens turn by turn.", "--flight.turns 2"),
     "engine": ("The blades of an engine, alike but for faint wear, seen by a borescope.", "--film.frames 990"),
+    "city": ("A city seen by a satellite: RPCs, suns, air, and the true surface.", "--orbit.views 20"),
 }
 
 
@@ -46,16 +47,20 @@ def _add_sample(commands: argparse._SubParsersAction, with_flags: bool) -> None:
 
 
 def _settings_of(kind: str) -> type[Settings]:
+    from toolkit.samples.city import CitySettings
     from toolkit.samples.drone_flights import FLIGHTS
     from toolkit.samples.engine import EngineSettings
     from toolkit.samples.make import SampleSettings
 
     if kind == "engine":
         return EngineSettings
+    if kind == "city":
+        return CitySettings
     return FLIGHTS.get(kind.removesuffix("-video"), SampleSettings)
 
 
 def _sample(arguments: argparse.Namespace) -> None:
+    from toolkit.samples.city import CitySettings, make_city
     from toolkit.samples.drone_flights import OrbitVideoSettings, make_drone_flight
     from toolkit.samples.engine import EngineSettings, make_engine
     from toolkit.samples.make import SampleSettings, make_sample
@@ -71,6 +76,11 @@ def _sample(arguments: argparse.Namespace) -> None:
         engine = with_bar(lambda bar: make_engine(arguments.to, turning, seed=arguments.seed, progress=bar))
         arc = f"{engine.angles[-1]:g} degrees"
         print(f"{len(engine.scene)} pictures over {arc} and the truth written to {arguments.to}")
+        return
+    if isinstance(wanted, CitySettings):
+        passing = wanted
+        city = with_bar(lambda bar: make_city(arguments.to, passing, seed=arguments.seed, progress=bar))
+        print(f"{len(city.views)} pictures from orbit and the true surface written to {arguments.to}")
         return
     assert isinstance(wanted, SampleSettings)
     with_bar(lambda bar: make_sample(arguments.to, wanted, seed=arguments.seed, progress=bar))

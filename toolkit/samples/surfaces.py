@@ -1,4 +1,4 @@
-"""The true surface and depth of the filmed engine and of flights over the town, and depth not quite true."""
+"""The true surface and depth of engine, town and city, and depth that is not quite true."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from toolkit.errors import DataError, ToolkitError
 from toolkit.files import disk_errors, read_json
 from toolkit.geometry.ray_casting import MeshCaster
 from toolkit.geometry.surface import DepthView, Mesh
+from toolkit.samples.city import open_city
 from toolkit.samples.engine import open_engine
 from toolkit.samples.make import SampleSettings, depth_path, read_depth, town_of_sample
 from toolkit.scene import Frame, Scene
@@ -31,7 +32,7 @@ def true_surface(folder: Path) -> Mesh:
     """Return the very triangles that the pictures of a sample were cast against, in the world of its true poses.
 
     Of the engine that is the whole rotor (casing and icon are painted over its pictures and are no surface); of a
-    town all of it, whatever the flight saw.
+    town or a city all of it, whatever the pictures show.
 
     Raises
     ------
@@ -41,6 +42,8 @@ def true_surface(folder: Path) -> Mesh:
     record = _record(folder)
     if record.get("kind") == "engine":
         return read_mesh(open_engine(folder).mesh)
+    if record.get("kind") == "city":
+        return open_city(folder).city.mesh
     try:
         settings, seed = SampleSettings.from_dict(record["settings"]), int(record["seed"])
     except (KeyError, TypeError, ValueError, ToolkitError) as error:
@@ -64,6 +67,12 @@ def true_depth(folder: Path, frame: Frame, *, caster: MeshCaster | None = None) 
     """
     if depth_path(folder, frame).is_file():
         return read_depth(folder, frame)
+    if _record(folder).get("kind") == "city":
+        raise DataError(
+            f"{folder} is a city seen from orbit, whose pictures have no depth maps",
+            expected="a flight over the town or a filmed engine",
+            todo="Compare heights: open_city(folder).dsm",
+        )
     from toolkit.scene.folder import read_scene
 
     scene = read_scene(folder)
