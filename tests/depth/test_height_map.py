@@ -75,7 +75,7 @@ def test_the_compiled_cost_is_that_of_the_readable_twin(views: list[GroundView])
     planes = np.dstack([rng.uniform(0, 12, (SIDE, SIDE)), rng.uniform(-0.8, 0.8, (SIDE, SIDE, 2))])
     cost = np.empty((SIDE, SIDE))
     with launching():
-        cost_patches(planes, cost, layer.seen, GRID.first, layer.views, layer.window, 0.6, search.slope_cost)
+        cost_patches(planes, cost, layer.seen, GRID.first, layer.views, layer.window, 0.4, search.slope_cost)
     places = GRID.places()
     for i, j in rng.integers(0, SIDE, (60, 2)):
         h, p, q = planes[i, j]

@@ -210,6 +210,7 @@ def search_patches(
     metres: float,  # by which a height is changed at most
     turn: float,  # and a slope
     seed: int,
+    still: bool,  # try patches of other cells alone
 ) -> None:
     """Try other patches at all cells of one colour and keep those that cost less."""
     rows, columns = cost.shape
@@ -224,7 +225,7 @@ def search_patches(
             h, p, q = float(planes[i, j, 0]), float(planes[i, j, 1]), float(planes[i, j, 2])
             least = float(cost[i, j])
             # Eight patches of other cells, then five new ones.
-            for trial in range(_TRIALS):
+            for trial in range(8 if still else _TRIALS):
                 a, b, c = h, p, q
                 if trial < 8:
                     k, m = _other(cost, i, j, trial)

@@ -153,7 +153,9 @@ def match_heights(
     _check(views, height_range)
     search = settings.search
     levels = range(max(1, min(search.levels, 1 + int(np.log2(max(min(grid.rows, grid.columns) / _LEAST_SIDE, 1))))))
-    step = _Steps(progress, sum(_rounds(search, level, levels) for level in levels))
+    again = search.iterations - 1
+    rounds = sum(_rounds(search, level, levels) for level in levels)
+    step = _Steps(progress, rounds + again * (bool(search.hidden_views) + bool(search.fine_radius)))
     planes: Array | None = None
     layer = None
     for level in reversed(levels):
@@ -169,7 +171,10 @@ def match_heights(
     assert layer is not None
     if search.hidden_views:
         layer.hide(planes[..., 0], height_range[1])
-        cost = layer.search(planes, height_range, search, search.iterations - 1, seed + 104_729, step)
+        cost = layer.search(planes, height_range, search, again, seed + 104_729, step)
+    if search.fine_radius:
+        layer.window = ground_window(search.fine_radius, 1, grid.resolution)
+        layer.search(planes, height_range, search, again, seed + 2 * 104_729, step, still=True)
     if not (cost < WORST).any():
         raise StageError(
             "No cell is seen by two views",
@@ -202,8 +207,7 @@ def _check(views: Sequence[GroundView], height_range: tuple[float, float]) -> No
 
 
 def _rounds(search: HeightSearchSettings, level: int, levels: range) -> int:
-    last = search.iterations - 1 if level == 0 and search.hidden_views else 0
-    return search.iterations + (_MORE_ROUNDS if level == levels[-1] else 0) + last
+    return int(search.iterations) + (_MORE_ROUNDS if level == levels[-1] else 0)
 
 
 class _Steps:
@@ -268,8 +272,10 @@ class _Layer:
         rounds: int,
         seed: int,
         step: _Steps,
+        *,
+        still: bool = False,
     ) -> Array:
-        """Change ``planes`` to cheaper ones and return their cost."""
+        """Change ``planes`` to cheaper ones and return their cost; ``still``: to those of other cells alone."""
         cost = np.full(planes.shape[:2], WORST)
         common = (self.seen, self.grid.first, self.views, self.window, search.share / 100, search.slope_cost)
         with launching():
@@ -288,6 +294,7 @@ class _Layer:
                         _PIXELS * left * self.parallax,
                         _TURN * left,
                         seed + 104_729 * (number + 1) + colour,
+                        still,
                     )
             step()
         return cost

@@ -13,13 +13,19 @@ class HeightSearchSettings(Settings):
     radius = Integer(3, bounds=(1, 15), unit="cells", doc="Half the side of the window on the ground.")
     step = Integer(1, bounds=(1, 5), unit="cells", doc="Every how many cells of the window one is compared.")
     share = Number(
-        60.0,
+        40.0,
         bounds=(5.0, 100.0),
         unit="%",
         doc="Of the views that see a cell, so many count: those that agree best. Others may be in shadow.",
     )
     slope_cost = Number(0.01, bounds=(0.0, 1.0), doc="Cost of a slope of one: level where nothing tells otherwise.")
     steepest = Number(1.5, bounds=(0.0, 10.0), doc="Largest slope of a window, rise over run.")
+    fine_radius = Integer(
+        1,
+        bounds=(0, 15),
+        unit="cells",
+        doc="Half the side of the window of a last search among neighbours' planes, for sharp walls; 0: none.",
+    )
     hidden_views = Boolean(True, doc="Search again without the views from which the first heights hide a cell.")
 
 

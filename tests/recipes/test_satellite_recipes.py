@@ -1,0 +1,98 @@
+"""Satellite recipes on a small computed city: cameras that agree, a surface model, what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolkit.errors import StageError
+from toolkit.geometry.affine_camera import AffineCamera
+from toolkit.geometry.rpc_camera import RpcCamera
+from toolkit.poses.satellite import ground_box, require_rpc_cameras, with_affine_cameras
+from toolkit.progress import silent
+from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult
+from toolkit.recipes.sat_heights import SatHeightsSettings, run
+from toolkit.recipes.satellite_measure import DIFFERENCE_FILE, DSM_FILE, true_surface_model
+from toolkit.samples.city import CitySample, CitySettings, make_city
+from toolkit.scene.dataset import open_capture
+from toolkit.scene.dsm_files import read_dsm
+from toolkit.workspace import Workspace
+
+pytest.importorskip("rasterio", reason="satellite pictures need rasterio (extra 'geo')")
+SMALL = {"plan.size": 64.0, "plan.tallest": 20.0, "orbit.views": 7}
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory: pytest.TempPathFactory) -> CitySample:
+    return make_city(tmp_path_factory.mktemp("city") / "small", CitySettings().replace(SMALL), seed=3)
+
+
+def context(folder: Path) -> RecipeContext:
+    for name in ("artifacts", "checkpoint"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    return RecipeContext(Workspace(folder / "work"), folder / "artifacts", folder / "checkpoint", 0, "cpu", silent)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("run")
+
+
+@pytest.fixture(scope="module")
+def made(city: CitySample, place: Path) -> RecipeResult:
+    capture = open_capture(city.folder)
+    settings = SatHeightsSettings().replace({"heights.search.levels": 3, "heights.search.iterations": 2})
+    return run(RecipeInput(capture.scene, capture.reference, "city"), settings, context(place))
+
+
+def test_tie_points_make_the_cameras_agree(city: CitySample, made: RecipeResult) -> None:
+    # The RPCs come 1 to 3 pixels wrong; matches are good to some tenths.
+    assert made.metrics["rpc.rms_before_px"] > 1.0
+    assert made.metrics["rpc.rms_px"] < 0.6
+    cameras = require_rpc_cameras(made.scene)
+    found = np.array([camera.correction for camera in cameras])[:, [0, 3]]
+    true = np.array([view.correction for view in city.views])[:, [0, 3]]
+    # A common shift of all pictures is the ground's, which tie points leave open: to 3 m here, or 6 pixels.
+    slopes = np.stack([camera.jacobian(np.zeros((1, 3)))[0] for camera in cameras])
+    shift = np.linalg.lstsq(slopes.reshape(-1, 3), (true - found).ravel(), rcond=None)[0]
+    assert np.abs(found + slopes @ shift - true).max() < 0.35
+    assert np.linalg.norm(shift) < 3.0
+
+
+def test_the_surface_model_is_near_the_true_one(made: RecipeResult, place: Path) -> None:
+    # Half a pixel of parallax is about half a metre; walls are wrong by a cell or two.
+    assert made.metrics["dsm.median_absolute"] < 0.35
+    assert made.metrics["dsm.mae"] < 2.0
+    model, off = (read_dsm(place / "artifacts" / name) for name in (DSM_FILE, DIFFERENCE_FILE))
+    assert model.crs == off.crs == "EPSG:32617"
+    assert np.nanmean(np.abs(off.heights)) == pytest.approx(made.metrics["dsm.mae"], rel=1e-3)
+    assert made.reports["dsm"]["truth"] == "dsm.tif"
+    assert made.metrics["affine.rms_px"] < 0.05
+
+
+def test_affine_cameras_are_where_rpcs_are(city: CitySample) -> None:
+    scene = city.true_scene
+    box = ground_box(scene, heights=(0.0, 25.0))
+    local, fitted = with_affine_cameras(scene, box)
+    point = np.array([[3.0, -4.0, 12.0]])
+    for before, after in zip(scene.frames, local.frames, strict=True):
+        camera, rpc = local.camera_of(after), scene.camera_of(before)
+        assert isinstance(camera, AffineCamera)
+        assert isinstance(rpc, RpcCamera)
+        assert after.cam_from_world is not None
+        np.testing.assert_allclose(camera.project(after.cam_from_world.apply(point)), rpc.project(point), atol=0.05)
+    assert max(one.max_px for one in fitted) < 0.05
+    with pytest.raises(StageError, match="range of heights is not known"):
+        ground_box(scene)
+    with pytest.raises(StageError, match="has no RPC camera.*found AffineCamera"):
+        require_rpc_cameras(local)
+
+
+def test_what_is_no_satellite_picture_is_told(tmp_path: Path, city: CitySample) -> None:
+    local, _ = with_affine_cameras(city.true_scene, ground_box(city.true_scene, heights=(0.0, 25.0)))
+    with pytest.raises(StageError, match="has no RPC camera"):
+        run(RecipeInput(local, None, "x"), SatHeightsSettings(), context(tmp_path))
+    assert true_surface_model(tmp_path) is None
+    assert true_surface_model(city.folder / "images") == city.folder / "truth" / "dsm.tif"
