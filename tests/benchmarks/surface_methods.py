@@ -119,7 +119,7 @@ def splat_depth(run: RunFolder, work: Path) -> Path:
     flat = undistort(read_scene(run.scene_folder), part)
     # Test pictures take part in the fusion of the other methods, too.
     everything = flat.replace(frames=tuple(dataclasses.replace(frame, split="train") for frame in flat.frames))
-    settings = SplatMeshSettings().replace(run.record().settings).train.replace({"max_side": 100_000})
+    settings = SplatMeshSettings().replace(run.record().settings).train.replace({"max_side": 8192})
     made = work / f"depth-{run.id}.part"
     for view in splat_depth_views(read_splats(run.splat_file), everything, settings):
         path = made / f"{view.name}.npy"
