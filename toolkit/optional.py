@@ -27,6 +27,7 @@ _CURES = {
         "and name the checkout in PYTHONPATH"
     ),
     "huggingface_hub": "pip install 'sightline-toolkit[transformers]'",
+    "rasterio": "pip install 'sightline-toolkit[geo]'",
     "pyproj": "pip install 'sightline-toolkit[geo]'",
     "panel": "pip install 'sightline-toolkit[ui]'",
     "ipywidgets": "pip install 'sightline-toolkit[ui]'",

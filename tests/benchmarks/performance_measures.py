@@ -20,9 +20,9 @@ from bench_rasterize import workload
 from numba import njit, prange
 
 from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.simd import fma, splat, total
 from toolkit.splat.cpu import autograd
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import fma, splat, total
 from toolkit.splat.cpu.tiles import (
     FACTOR_XX,
     FACTOR_YX,

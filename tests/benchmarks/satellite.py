@@ -30,7 +30,7 @@ from toolkit.matching.scene_matches import match_scene
 from toolkit.metrics.elevation import ElevationErrors, compare_heights
 from toolkit.poses.satellite import ground_box, pictures_to_match, refine_satellite, with_affine_cameras
 from toolkit.progress import TqdmProgress
-from toolkit.samples.city import CitySettings, make_city
+from toolkit.samples.city import CitySettings, make_city, open_city
 from toolkit.samples.registry import locate
 from toolkit.scene import Scene
 from toolkit.scene.dsm_files import SurfaceModel, read_dsm
@@ -127,11 +127,8 @@ def city(work: Path, counts: Sequence[int], seeds: int) -> None:
     """Measure the city."""
     bar = TqdmProgress()
     folder = work / "city"
-    sample = None if folder.is_dir() else make_city(folder, CitySettings(), progress=bar)
+    sample = open_city(folder) if folder.is_dir() else make_city(folder, CitySettings(), progress=bar)
     bar.close()
-    from toolkit.samples.city import open_city
-
-    sample = sample or open_city(folder)
     scene, box = agreeing(sample.scene, work / "city-work")
     half = 0.5 * sample.settings.plan.size
     box[:, :2] = [[-half, -half], [half, half]]
@@ -171,15 +168,15 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument(
-        "what", nargs="*", choices=["city", "pleiades", []], default=["city", "pleiades"], help="[both]"
+        "--data", nargs="+", choices=("city", "pleiades"), default=["city", "pleiades"], help="[both]"
     )
     parser.add_argument("--views", type=int, nargs="*", default=[3, 5, 8, 12], help="numbers of views [3 5 8 12]")
     parser.add_argument("--seeds", type=int, default=2, help="random choices of views [2]")
     parser.add_argument("--work", type=Path, default=Path("runs/bench-satellite"), help="folder")
     options = parser.parse_args()
-    if "city" in options.what:
+    if "city" in options.data:
         city(options.work, options.views, options.seeds)
-    if "pleiades" in options.what:
+    if "pleiades" in options.data:
         pleiades(options.work)
 
 

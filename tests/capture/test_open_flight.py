@@ -14,7 +14,7 @@ from toolkit.capture.keyframes import KeyframeSettings
 from toolkit.cli import main
 from toolkit.errors import DataError, RunError, SettingsError
 from toolkit.geometry.cameras import ColmapCamera
-from toolkit.geometry.geodesy import geodetic_from_enu
+from toolkit.geometry.ellipsoid import geodetic_from_enu
 from toolkit.geometry.rigid import rotation_angle
 from toolkit.scene import Scene
 from toolkit.scene.dataset import open_capture

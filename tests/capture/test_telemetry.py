@@ -15,7 +15,8 @@ from toolkit.capture.priors import TelemetrySettings, telemetry_priors
 from toolkit.capture.telemetry import Telemetry, readings_from_rows, telemetry_in_order
 from toolkit.errors import DataError, SettingsError, StageError, ToolkitError
 from toolkit.geometry.attitude import Attitude, attitude_of, cam_from_enu
-from toolkit.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from toolkit.geometry.ellipsoid import geodetic_from_enu
+from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.geometry.rigid import rotation_angle
 from toolkit.scene import Georeference, PosePrior
 

@@ -12,7 +12,7 @@ from PIL import Image
 from scipy.ndimage import map_coordinates
 
 from toolkit.errors import Cancelled, DataError, RunError, SettingsError, StageError
-from toolkit.geometry.geodesy import geodetic_from_enu
+from toolkit.geometry.ellipsoid import geodetic_from_enu
 from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.progress import ProgressEvent
 from toolkit.samples.city import CitySample, CitySettings, dsm_places, make_city, open_city

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from toolkit.errors import SettingsError
 from toolkit.geometry.attitude import Attitude, attitude_of, cam_from_enu
-from toolkit.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from toolkit.geometry.ellipsoid import geodetic_from_enu
+from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.geometry.rigid import RigidTransform, rotation_angle
 from toolkit.samples.flights import FlightSettings, flight_poses
 from toolkit.samples.make import ORIGIN, SampleSettings, make_sample

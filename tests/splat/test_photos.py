@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from PIL import Image
 
 from toolkit.errors import DataError
+from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.scene import Frame, Scene
@@ -25,7 +27,7 @@ def noise(height: int, width: int) -> np.ndarray:
 
 def make_scene(folder: Path, pixels: np.ndarray, *, mask: np.ndarray | None = None, **changes) -> Scene:
     height, width = pixels.shape[:2]
-    (folder / "images").mkdir()
+    (folder / "images").mkdir(parents=True)
     Image.fromarray(pixels).save(folder / "images" / "a.png")
     if mask is not None:
         (folder / "masks").mkdir()
@@ -113,6 +115,46 @@ def test_a_camera_with_distortion_is_refused(tmp_path: Path) -> None:
         make_scene(tmp_path, noise(8, 8), camera=camera),
         r"expected a pinhole camera; found SIMPLE_RADIAL\. Undistort the scene first",
     )
+
+
+@dataclass(frozen=True)
+class PushBroom:
+    """A camera that is neither central nor affine."""
+
+    width: int
+    height: int
+
+    def project(self, points):
+        raise NotImplementedError
+
+    def ray(self, pixels):
+        raise NotImplementedError
+
+
+def test_a_camera_that_is_neither_central_nor_affine_is_refused(tmp_path: Path) -> None:
+    refused(
+        make_scene(tmp_path, noise(8, 8), camera=PushBroom(8, 8)),
+        r"expected a pinhole or an affine camera; found PushBroom\. Fit affine cameras to the scene's first",
+    )
+
+
+@pytest.mark.parametrize("shrink", ["loading", "pyramid"])
+def test_an_affine_camera_gives_affine_views_that_are_scaled_with_the_photo(tmp_path: Path, shrink: str) -> None:
+    """Edges of pictures stay where they are: a point at x, in pixels with centres at +0.5, is at x / 2."""
+    camera = AffineCamera(40, 24, 5.0, 0.5, 6.0, 21.0, 13.0)
+    scene = make_scene(tmp_path, noise(24, 40), camera=camera)
+    if shrink == "loading":
+        photo = load_photo(scene, scene.frames[0], 20)
+    else:
+        photo = load_photo(scene, scene.frames[0], 800).shrunk(2)
+    assert photo.views.affine
+    assert (photo.views.width, photo.views.height) == (20, 12)
+    expected = torch.tensor([[[2.5, 0.25, 10.5], [0.0, 3.0, 6.5], [0.0, 0.0, 1.0]]])
+    torch.testing.assert_close(photo.views.intrinsics, expected)
+    point = np.array([[1.0, -0.5, -7.0]])
+    assert isinstance(photo.camera, AffineCamera)
+    np.testing.assert_allclose(photo.camera.project(point), camera.project(point) / 2)
+    assert not load_photo(make_scene(tmp_path / "other", noise(8, 8)), scene.frames[0], 800).views.affine
 
 
 def test_a_frame_without_pose_is_refused(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from raster_scenes import (
 from torch import Tensor
 
 from toolkit.errors import CapabilityError
-from toolkit.splat.cpu.kernels import launching, threading_layer
+from toolkit.geometry.compiled import launching, threading_layer
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.lie import exp_se3
 from toolkit.splat.rasterize import BackendName, RasterSettings, RenderOutput, Views, rasterize

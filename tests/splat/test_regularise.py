@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from raster_scenes import one_gaussian, straight_view, together
@@ -47,6 +49,34 @@ def test_normals_of_a_plane_are_exact() -> None:
     view = straight_view()
     normals = normals_from_depth(plane_depth(view), view.intrinsics[0])
     torch.testing.assert_close(normals, NORMAL.expand(21, 21, 3), rtol=0, atol=1e-12)
+
+
+def test_normals_from_parallel_rays_are_exact_at_any_depth() -> None:
+    """With skew, and depths on both sides of 0; where nothing is drawn is told apart from them."""
+    matrix = torch.tensor([[9.0, 1.5, 10.0], [0, 7, 10], [0, 0, 1]], dtype=torch.float64)
+    y = ((torch.arange(21, dtype=torch.float64) + 0.5 - 10) / 7)[:, None]
+    x = (torch.arange(21, dtype=torch.float64) + 0.5 - 10 - 1.5 * y) / 9
+    depth = -(NORMAL[0] * x + NORMAL[1] * y) / NORMAL[2]
+    assert depth.min() < 0 < depth.max()
+    there = torch.ones(21, 21, dtype=torch.bool)
+    there[7, 5] = False
+    normals = normals_from_depth(depth, matrix, there=there, affine=True)
+    missing = (normals == 0).all(-1)
+    assert missing.sum() == 5
+    torch.testing.assert_close(normals[~missing], NORMAL.expand(436, 3), rtol=0, atol=1e-12)
+
+
+def test_disks_in_a_plane_are_consistent_in_affine_views() -> None:
+    view = replace(straight_view(), affine=True)
+    moved = view.cam_from_world.clone()
+    moved[0, 2, 3] = -DISTANCE
+    view = replace(view, cam_from_world=moved, intrinsics=view.intrinsics * torch.tensor([[0.3], [0.3], [1]]))
+    view.intrinsics[0, :2, 2] = 10.5
+    output = rasterize(slanted_wall(), view, SETTINGS)
+    assert output.alpha.min() > 0.9
+    assert output.expected_depth.min() < 0 < output.expected_depth.max()
+    assert normal_consistency(output, view).abs() < 1e-9
+    assert depth_distortion(output).abs() < 1e-12
 
 
 def test_normals_need_all_their_neighbours() -> None:

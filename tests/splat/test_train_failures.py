@@ -61,7 +61,7 @@ def test_a_gradient_that_is_not_finite_leaves_the_last_checkpoint_from_which_the
 
     chosen = settings(steps=20, checkpoint_every=10)
     straight = train_splats(scene, chosen, seed=0)
-    monkeypatch.setattr("toolkit.splat.train.warm_up", lambda settings: 0.0)  # it updates parameters, too
+    monkeypatch.setattr("toolkit.splat.train.warm_up", lambda settings, affine: 0.0)  # it updates parameters, too
     monkeypatch.setattr(optimiser_module, "adam_update", broken)
     with pytest.raises(
         NumericalError, match=r"the gradient of log_scales at step 15; .*last checkpoint .* is kept"

@@ -32,9 +32,10 @@ def compiled():
     return kernels
 
 settings = TrainSettings().replace({"steps": 3, "max_side": 64, **json.loads(sys.argv[2])})
-warm_up(settings)
+affine = json.loads(sys.argv[3])
+warm_up(settings, affine=affine)
 before = compiled()
-train_splats(make_scene(Path(sys.argv[1])), settings, seed=0)
+train_splats(make_scene(Path(sys.argv[1]), affine=affine), settings, seed=0)
 after = compiled()
 late = {name: count for name, count in after.items() if count > before.get(name, 0)}
 assert any(before.values()), "the warm-up compiled nothing"
@@ -43,12 +44,17 @@ assert not late, f"compiled in a step: {late}"
 
 
 @pytest.mark.parametrize(
-    "changes",
-    ["{}", '{"kind": "2d"}', '{"absolute_gradients": true, "update": "visible"}'],
-    ids=["3d", "2d", "options"],
+    ("changes", "affine"),
+    [
+        ("{}", "false"),
+        ('{"kind": "2d"}', "false"),
+        ('{"kind": "2d"}', "true"),
+        ('{"absolute_gradients": true, "update": "visible"}', "true"),
+    ],
+    ids=["3d", "2d", "2d, affine", "options, affine"],
 )
-def test_no_kernel_is_left_for_the_first_step(tmp_path: Path, changes: str) -> None:
-    command = [sys.executable, "-c", SCRIPT, str(tmp_path), changes]
+def test_no_kernel_is_left_for_the_first_step(tmp_path: Path, changes: str, affine: str) -> None:
+    command = [sys.executable, "-c", SCRIPT, str(tmp_path), changes, affine]
     done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
 

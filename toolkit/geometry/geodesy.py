@@ -26,11 +26,6 @@ def enu_from_geodetic(geodetic: ArrayLike, origin: Origin) -> Array:
     return _mapped(geodetic, lambda transform, rows: transform.ellipsoid_to_enu(rows, *origin))
 
 
-def geodetic_from_enu(enu: ArrayLike, origin: Origin) -> Array:
-    """Return latitude and longitude in degrees and altitude in metres (N, 3) of local metres (N, 3)."""
-    return _mapped(enu, lambda transform, rows: transform.enu_to_ellipsoid(rows, *origin))
-
-
 def ecef_from_geodetic(geodetic: ArrayLike) -> Array:
     """Return earth-centred metres (N, 3) of latitude, longitude and altitude (N, 3)."""
     return _mapped(geodetic, lambda transform, rows: transform.ellipsoid_to_ecef(rows))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.geometry.attitude import Attitude, attitude_of, cam_from_enu
-from toolkit.geometry.geodesy import geodetic_from_enu
+from toolkit.geometry.ellipsoid import geodetic_from_enu
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.scene import Georeference, PosePrior
 from toolkit.scene.exif import PhotoTags

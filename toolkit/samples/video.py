@@ -15,7 +15,7 @@ from toolkit.errors import DataError
 from toolkit.files import write_text
 from toolkit.geometry.attitude import attitude_of
 from toolkit.geometry.cameras import Camera
-from toolkit.geometry.geodesy import geodetic_from_enu
+from toolkit.geometry.ellipsoid import geodetic_from_enu
 from toolkit.progress import Progress, silent, track
 from toolkit.samples.sensors import START_TIME
 from toolkit.scene import Frame, Georeference, Scene

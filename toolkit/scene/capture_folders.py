@@ -12,6 +12,8 @@ from toolkit.scene import middlebury, strecha
 from toolkit.scene.colmap_files import has_model
 from toolkit.scene.folder import SCENE_FILE
 from toolkit.scene.photos import ENDINGS
+from toolkit.scene.raster_io import NITF_ENDINGS
+from toolkit.scene.rpc_files import has_rpc_names
 from toolkit.scene.transforms import TRANSFORMS_FILE
 
 #: How far below a folder captures are looked for, and how many are listed.
@@ -29,7 +31,8 @@ class CaptureFolder:
     root:
         The folder below which it was found, or which it is; resolved.
     layout:
-        What tells how to read it: ``scene.json``, ``transforms.json``, ``COLMAP``, ``EPFL`` or ``photos``.
+        What tells how to read it: ``scene.json``, ``transforms.json``, ``satellite``, ``COLMAP``, ``EPFL``,
+        ``Middlebury`` or ``photos``. Satellite pictures whose RPC is in their tags look like photos by their names.
     photos:
         How many files in its folder of pictures look like photos.
     """
@@ -94,6 +97,7 @@ def capture_folder(folder: Path, root: Path) -> CaptureFolder | None:
         entries = {entry.name: entry for entry in os.scandir(folder) if not entry.name.startswith(".")}
         images = "images" in entries and entries["images"].is_dir(follow_symlinks=False)
         photos = _count(folder / "images") if images else sum(map(_is_photo, entries))
+        inside = [path.name for path in (folder / "images").iterdir()] if images else []
     except OSError:
         return None
     if SCENE_FILE in entries or TRANSFORMS_FILE in entries:
@@ -108,6 +112,8 @@ def capture_folder(folder: Path, root: Path) -> CaptureFolder | None:
         layout = "EPFL"
     elif images and middlebury.parameter_file(folder) is not None:
         layout = "Middlebury"
+    elif has_rpc_names([*entries, *inside]):
+        layout = "satellite"
     return CaptureFolder(folder, root, layout, photos)
 
 
@@ -140,4 +146,4 @@ def _count(folder: Path) -> int:
 
 
 def _is_photo(name: str) -> bool:
-    return not name.startswith(".") and Path(name).suffix.lower() in ENDINGS
+    return not name.startswith(".") and Path(name).suffix.lower() in (*ENDINGS, *NITF_ENDINGS)

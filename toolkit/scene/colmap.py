@@ -18,7 +18,7 @@ from toolkit.files import disk_errors
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.scene.colmap_files import read_model
-from toolkit.scene.colmap_model import Model, ModelImage, ModelPoints, check_model, check_name
+from toolkit.scene.colmap_model import Model, ModelImage, ModelPoints, check_model, check_name, check_rigid
 from toolkit.scene.scene import Frame, Points, Scene, Tracks
 
 _MODEL_FILES = tuple(
@@ -92,13 +92,7 @@ def colmap_camera(scene: Scene, camera_id: int) -> ColmapCamera:
 
 
 def _rigid(pose: RigidTransform, name: str) -> pycolmap.Rigid3d:
-    off = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max() if np.isfinite(pose.matrix).all() else np.inf
-    if not off < 1e-6 or np.linalg.det(pose.rotation) < 0:
-        raise DataError(
-            f"The pose of frame '{name}' is no rigid motion",
-            expected="a finite translation and an orthonormal rotation of determinant 1",
-            found=str(pose.matrix[:3].tolist()),
-        )
+    check_rigid(pose, name)
     w, x, y, z = pose.quaternion
     return pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([x, y, z, w])), pose.translation)
 

@@ -98,16 +98,32 @@ class Model:
 
 def checked_camera(model: str, width: int, height: int, params: Iterable[float], where: str) -> ColmapCamera:
     """Return a camera; ``where`` says in errors which file and record it comes from. Raises DataError."""
+    check_size(width, height, where)
+    try:
+        return ColmapCamera(model, width, height, tuple(params))
+    except DataError as error:
+        raise DataError(f"The camera in {where} is damaged", found=str(error).rstrip(".")) from error
+
+
+def check_size(width: int, height: int, where: str) -> None:
+    """Refuse a size in pixels that no picture has. Raises :class:`DataError` naming ``where``."""
     if not (1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE):
         raise DataError(
             f"The camera in {where} has an impossible size",
             expected=f"1 to {_MAX_SIDE} pixels a side",
             found=f"{width}x{height}",
         )
-    try:
-        return ColmapCamera(model, width, height, tuple(params))
-    except DataError as error:
-        raise DataError(f"The camera in {where} is damaged", found=str(error).rstrip(".")) from error
+
+
+def check_rigid(pose: RigidTransform, name: str) -> None:
+    """Refuse a pose of frame ``name`` that is no rigid motion. Raises :class:`DataError`."""
+    off = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max() if np.isfinite(pose.matrix).all() else np.inf
+    if not off < 1e-6 or np.linalg.det(pose.rotation) < 0:
+        raise DataError(
+            f"The pose of frame '{name}' is no rigid motion",
+            expected="a finite translation and an orthonormal rotation of determinant 1",
+            found=str(pose.matrix[:3].tolist()),
+        )
 
 
 def checked_pose(pose: Sequence[float], where: str) -> RigidTransform:

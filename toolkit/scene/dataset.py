@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from toolkit.errors import DataError
+from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import middlebury, strecha
 from toolkit.scene.colmap import scene_like
@@ -15,7 +16,8 @@ from toolkit.scene.folder import SCENE_FILE, read_scene
 from toolkit.scene.photos import scene_from_photos
 from toolkit.scene.pictures import check_picture, picture_size
 from toolkit.scene.records import camera_record, frame_record, georeference_record
-from toolkit.scene.scene import Scene
+from toolkit.scene.satellite import is_satellite, read_satellite
+from toolkit.scene.scene import Frame, Scene
 from toolkit.scene.transforms import TRANSFORMS_FILE, read_transforms
 from toolkit.workspace import file_fingerprint, fingerprint
 
@@ -32,7 +34,8 @@ class Capture:
     Attributes
     ----------
     scene:
-        Frames, cameras and priors, without poses and points: what a method may use.
+        Frames, cameras and priors, without poses and points: what a method may use. Only frames with an RPC camera
+        have a pose, the identity: what is known of such a view is all in its camera.
     reference:
         The same frames with known poses, or None. Its world need not be that of the scene's priors.
     warnings:
@@ -58,6 +61,8 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
       there are several; its cameras are the scene's, too.
     - ``images/`` and ``gt_dense_cameras/``: the EPFL benchmark; its cameras are the reference only.
     - ``images/`` and one ``*_par.txt``: the Middlebury benchmark; its cameras are the reference only.
+    - GeoTIFF or NITF pictures with an RPC in their tags or beside them, in ``images/`` or directly: satellite
+      views, which have their cameras from the RPCs and no reference.
     - photos, in ``images/`` or directly.
 
     Every eighth frame is a test frame, unless ``scene.json`` or ``transforms.json`` names test frames of its own.
@@ -75,6 +80,8 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
     ------
     DataError
         Where the folder is missing, has no pictures, or anything in it is damaged or contradicts the rest.
+    MissingDependencyError
+        For satellite pictures where rasterio is not installed.
     """
     if not folder.is_dir():
         raise DataError(f"Folder {folder} is missing", expected="a folder with pictures or a scene")
@@ -84,10 +91,12 @@ def open_capture(folder: Path, *, check: bool = True, progress: Progress = silen
         return dataclasses.replace(capture, video=video if video.is_file() else None)
     if (folder / TRANSFORMS_FILE).exists():
         return _whole_scene(read_transforms(folder / TRANSFORMS_FILE), check, progress)
+    models = _models(folder)
+    if not models and is_satellite(folder):
+        return _satellite_folder(folder, check, progress)
     photos = scene_from_photos(folder, check=check, progress=progress)
     scene = photos.scene.with_every_nth_as_test(_TEST_EVERY)
     warnings = photos.warnings
-    models = _models(folder)
     if (folder / "sparse").is_dir() and not models:
         warnings += ("sparse/ holds no COLMAP model (cameras, images and points3D) and was left out",)
     if models and (folder / "images").is_dir():
@@ -107,7 +116,25 @@ def _whole_scene(full: Scene, check: bool, progress: Progress) -> Capture:
     if check:
         for frame in track(full.frames, "photos", progress):
             check_picture(full.image_path(frame))
-    return Capture(full.without_poses(), full if full.registered else None)
+    bare = full.without_poses()
+    found = [frame for frame in full.registered if not _is_rpc(full, frame)]
+    known = tuple(
+        whole if _is_rpc(full, whole) else frame for frame, whole in zip(bare.frames, full.frames, strict=True)
+    )
+    return Capture(bare.replace(frames=known), full if found or full.points is not None else None)
+
+
+def _is_rpc(scene: Scene, frame: Frame) -> bool:
+    return isinstance(scene.camera_of(frame), RpcCamera)
+
+
+def _satellite_folder(folder: Path, check: bool, progress: Progress) -> Capture:
+    """Return the satellite views of a folder. Their RPCs are what a method may use, and no truth."""
+    opened = read_satellite(folder)
+    if check:
+        for frame in track(opened.scene.frames, "photos", progress):
+            check_picture(opened.scene.image_path(frame))
+    return Capture(opened.scene.with_every_nth_as_test(_TEST_EVERY), None, opened.warnings)
 
 
 def _colmap_folder(scene: Scene, models: list[Path], warnings: tuple[str, ...]) -> Capture:
@@ -159,7 +186,7 @@ def capture_fingerprint(scene: Scene, *, progress: Progress = silent) -> str:
     DataError
         Where a picture is missing.
     CapabilityError
-        Where a camera is none of COLMAP's.
+        Where a camera is neither one of COLMAP's nor an affine nor an RPC camera.
     """
     frames = []
     for frame in track(scene.frames, "fingerprint", progress):

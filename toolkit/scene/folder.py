@@ -2,14 +2,16 @@
 
 Poses, points and tracks lie in ``sparse/0``, where COLMAP, nerfstudio and gsplat find them; ``scene.json`` holds
 what COLMAP has no place for: the order, split, times and priors of all frames, registered or not, all cameras,
-and the georeference.
+the georeference, and the poses of frames whose camera is none of COLMAP's (affine, RPC). What those frames saw of
+the points is in ``observations.safetensors``.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -19,9 +21,12 @@ import numpy as np
 
 from toolkit.errors import DataError
 from toolkit.files import atomic_path, disk_errors, read_json, write_json
+from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, silent, track
 from toolkit.scene.colmap import remove_model, scene_like, scene_to_pycolmap, staged_model
 from toolkit.scene.colmap_files import read_model
+from toolkit.scene.observations import with_observations, write_observations
 from toolkit.scene.records import (
     camera_from_record,
     camera_record,
@@ -30,13 +35,16 @@ from toolkit.scene.records import (
     frame_record,
     georeference_from_record,
     georeference_record,
+    pose_from_record,
+    pose_record,
 )
-from toolkit.scene.scene import Points, Scene
+from toolkit.scene.scene import Frame, Points, Scene, Tracks
 
 SCENE_FILE = "scene.json"
 _FORMAT = "sightline-scene"
 _VERSION = 1
 _SPARSE = "sparse/0"
+_OBSERVATIONS = "observations.safetensors"
 
 
 def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progress: Progress = silent) -> None:
@@ -45,12 +53,12 @@ def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progre
     The old ``scene.json`` goes before anything else changes and the new one is written last, so that a folder whose
     writing was cut short is no scene.
     Rotations are stored as quaternions (equal to about 1e-15); all other numbers to the bit. Observations in
-    frames without a pose are not kept.
+    frames without a pose are not kept; those that are kept come in order of their points.
 
     Parameters
     ----------
     scene:
-        With cameras of COLMAP's models.
+        With cameras of COLMAP's models, affine and RPC cameras.
     folder:
         Made where it is not there; a scene that is there is replaced, other files stay.
     copy_images:
@@ -61,7 +69,7 @@ def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progre
     Raises
     ------
     CapabilityError
-        Where a camera is none of COLMAP's.
+        Where a camera is of another kind.
     DataError
         Where the scene holds what cannot be stored (names with control characters, numbers that are not finite)
         or a picture to copy is missing.
@@ -69,16 +77,20 @@ def write_scene(scene: Scene, folder: Path, *, copy_images: bool = False, progre
         When the disk is full or the folder may not be written.
     """
     record = _record(scene, folder, copy_images)
+    others = _other_observations(scene)
     with ExitStack() as staged:
         move_in: Callable[[], None] = partial(remove_model, folder / _SPARSE)
         if record["sparse"]:
-            move_in = staged.enter_context(staged_model(scene_to_pycolmap(scene), folder / _SPARSE))
+            move_in = staged.enter_context(staged_model(scene_to_pycolmap(_for_colmap(scene)), folder / _SPARSE))
         with disk_errors(folder, "writing"):
             folder.mkdir(parents=True, exist_ok=True)
             (folder / SCENE_FILE).unlink(missing_ok=True)
             if copy_images:
                 copy_pictures(scene, folder / "images", folder / "masks", progress=progress)
             move_in()
+            (folder / _OBSERVATIONS).unlink(missing_ok=True)
+            if others is not None:
+                write_observations(folder / _OBSERVATIONS, others)
     write_json(folder / SCENE_FILE, record)
 
 
@@ -94,11 +106,43 @@ def _record(scene: Scene, folder: Path, copy_images: bool) -> dict[str, Any]:
         "image_dir": _place(images, folder),
         "mask_dir": None if masks is None else _place(masks, folder),
         "georeference": georeference_record(scene.georeference),
-        "sparse": _SPARSE if scene.registered or points is not None else None,
+        "sparse": _SPARSE if _for_colmap(scene).registered or points is not None else None,
         "points": None if points is None else {"errors": errors, "tracks": tracks},
+        "observations": None if _other_observations(scene) is None else _OBSERVATIONS,
         "cameras": [{"id": int(i), **camera_record(scene.cameras[i])} for i in sorted(scene.cameras)],
-        "frames": [frame_record(frame) for frame in scene.frames],
+        "frames": [_frame_record(scene, frame) for frame in scene.frames],
     }
+
+
+def _frame_record(scene: Scene, frame: Frame) -> dict[str, Any]:
+    record = frame_record(frame)
+    if frame.cam_from_world is not None and not _of_colmap(scene, frame):
+        record["pose"] = pose_record(frame.cam_from_world, frame.name)
+    return record
+
+
+def _of_colmap(scene: Scene, frame: Frame) -> bool:
+    """Return whether ``sparse/0`` can hold a frame."""
+    return isinstance(scene.camera_of(frame), ColmapCamera)
+
+
+def _for_colmap(scene: Scene) -> Scene:
+    """Return the scene with poses only for the frames that ``sparse/0`` can hold."""
+    frames = [
+        frame if _of_colmap(scene, frame) else dataclasses.replace(frame, cam_from_world=None)
+        for frame in scene.frames
+    ]
+    return scene.replace(frames=tuple(frames))
+
+
+def _other_observations(scene: Scene) -> Tracks | None:
+    """Return what was observed in frames that have a pose and that ``sparse/0`` cannot hold, None for nothing."""
+    tracks = scene.points.tracks if scene.points is not None else None
+    posed = [frame.cam_from_world is not None and not _of_colmap(scene, frame) for frame in scene.frames]
+    if tracks is None or not any(posed):
+        return None
+    rows = np.array(posed)[tracks.frame]
+    return Tracks(tracks.point[rows], tracks.frame[rows], tracks.pixel[rows]) if rows.any() else None
 
 
 def _place(target: Path, folder: Path) -> str:
@@ -168,10 +212,33 @@ def read_scene(folder: Path) -> Scene:
     except DataError as error:
         raise DataError(f"{path} holds no scene", found=str(error).rstrip(".")) from error
     hints = field(record, "points", dict, str(path), optional=True)
+    poses = _other_poses(scene, record["frames"], path)
     if field(record, "sparse", str, str(path), optional=True) is None:
-        return scene
-    posed = scene_like(read_model(folder / _SPARSE), scene.image_dir, scene)
-    return posed.replace(points=_as_hinted(posed.points, hints))
+        return _with_poses(scene, poses)
+    model = read_model(folder / _SPARSE)
+    posed = scene_like(model, scene.image_dir, scene)
+    points = posed.points
+    if points is not None and field(record, "observations", str, str(path), optional=True) is not None:
+        points = with_observations(points, model.points.ids, folder / _OBSERVATIONS, len(scene))
+    return _with_poses(posed.replace(points=_as_hinted(points, hints)), poses)
+
+
+def _other_poses(scene: Scene, records: list[Any], path: Path) -> dict[str, RigidTransform]:
+    """Return the poses in ``scene.json`` by the frame's name; those of COLMAP's cameras are in ``sparse/0``."""
+    poses = {}
+    for index, (frame, record) in enumerate(zip(scene.frames, records, strict=True)):
+        pose = None if _of_colmap(scene, frame) else pose_from_record(record, f"{path}, frame {index}")
+        if pose is not None:
+            poses[frame.name] = pose
+    return poses
+
+
+def _with_poses(scene: Scene, poses: Mapping[str, RigidTransform]) -> Scene:
+    frames = [
+        dataclasses.replace(frame, cam_from_world=poses.get(frame.name, frame.cam_from_world))
+        for frame in scene.frames
+    ]
+    return scene.replace(frames=tuple(frames))
 
 
 def _as_hinted(points: Points | None, hints: dict[str, Any] | None) -> Points | None:
@@ -187,6 +254,10 @@ def _as_hinted(points: Points | None, hints: dict[str, Any] | None) -> Points | 
 
 
 def _from_place(text: str, folder: Path, path: Path) -> Path:
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError as error:
+        raise DataError(f"A folder named in {path} cannot be", expected="Unicode", found=ascii(text)) from error
     if ".." in PurePosixPath(text).parts or "\0" in text:
         raise DataError(f"A folder named in {path} leaves it", expected="a path without '..'", found=repr(text))
     return folder / text

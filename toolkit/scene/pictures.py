@@ -16,11 +16,17 @@ from PIL import Image, UnidentifiedImageError
 from scipy import sparse
 
 from toolkit.errors import DataError
+from toolkit.scene.raster import read_raster, stretched
+from toolkit.scene.raster_io import NITF_MARKS, raster_size
 from toolkit.scene.scene import Frame, Scene
 
 Value = TypeVar("Value", bound=np.generic)
 
 _FORMATS = ("JPEG", "PNG", "TIFF")
+# The first bytes of a TIFF in either order of bytes, and of its form for more than 4 GB.
+_TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# BitsPerSample and SampleFormat, in which 1 and 2 are whole numbers.
+_BITS, _SAMPLE_FORMAT, _INTEGERS = 258, 339, 2
 
 # Modes that Pillow turns into RGB without loss of meaning; alpha is dropped, the colours below it stay.
 _EIGHT_BIT = {"1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV"}
@@ -63,8 +69,34 @@ def open_picture(path: Path) -> Iterator[Image.Image]:
         ) from error
 
 
+def through_gdal(path: Path) -> bool:
+    """Return whether only GDAL reads a picture's numbers as they are: NITF, and TIFF of 9 to 16 bits or many bands.
+
+    Pillow takes the upper eight bits of several 16-bit bands, which for a satellite's 11 or 12 bits is next to
+    nothing.
+    """
+    try:
+        with path.open("rb") as handle:
+            mark = handle.read(4)
+    except OSError:
+        return False
+    if mark in NITF_MARKS:
+        return True
+    if mark not in _TIFF_MARKS:
+        return False
+    try:
+        with open_picture(path) as picture:
+            tags = getattr(picture, "tag_v2", {})
+            deep = 8 < max(tags.get(_BITS, (1,))) <= 16
+            return deep and max(tags.get(_SAMPLE_FORMAT, (1,))) <= _INTEGERS
+    except DataError as error:
+        return isinstance(error.__cause__, UnidentifiedImageError)
+
+
 def picture_size(path: Path) -> tuple[int, int]:
     """Return width and height in pixels, as stored, without decoding. Raises as :func:`open_picture`."""
+    if through_gdal(path):
+        return raster_size(path)
     with open_picture(path) as picture:
         return picture.width, picture.height
 
@@ -74,6 +106,9 @@ def check_picture(path: Path) -> None:
 
     JPEG files are decoded at an eighth of their size, which reads all their bytes and is three times as fast.
     """
+    if through_gdal(path):
+        read_raster(path)
+        return
     with open_picture(path) as picture:
         picture.draft(picture.mode, (max(1, picture.width // 8), max(1, picture.height // 8)))
         picture.load()
@@ -83,7 +118,9 @@ def load_picture(path: Path) -> NDArray[np.uint8]:
     """Return a picture's pixels as stored, (H, W, 3) uint8 RGB.
 
     The orientation tag of EXIF is not applied (COLMAP does not, either). Grey becomes equal channels; 16-bit grey
-    is scaled by 1/257; CMYK is converted; alpha is dropped and the colours below it stay as they are stored.
+    of PNG is scaled by 1/257; CMYK is converted; alpha is dropped and the colours below it stay as they are stored.
+    TIFF files of 9 to 16 bits and NITF files, whose sensors fill only a part of their range, are stretched between
+    two percentiles (:func:`toolkit.scene.raster.stretched`).
 
     Raises
     ------
@@ -91,6 +128,8 @@ def load_picture(path: Path) -> NDArray[np.uint8]:
         Where the file is missing, empty, no picture, cut off or damaged, or of a kind without a defined
         conversion to 8 bits (floating point, 32-bit, Lab).
     """
+    if through_gdal(path):
+        return stretched(read_raster(path))
     with open_picture(path) as picture:
         picture.load()
         if picture.mode.startswith("I;16") or (picture.mode == "I" and picture.format == "PNG"):

@@ -4,44 +4,134 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import CapabilityError, DataError
+from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.cameras import Camera, ColmapCamera
-from toolkit.scene.colmap_model import check_name, checked_camera
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.geometry.rpc import Rpc
+from toolkit.geometry.rpc_camera import RpcCamera
+from toolkit.scene.colmap_model import check_name, check_rigid, check_size, checked_camera, checked_pose
 from toolkit.scene.scene import Frame, Georeference, PosePrior, Split
 
+Made = TypeVar("Made")
+
+_AFFINE, _RPC = "AFFINE", "RPC"
+_AFFINE_PARAMS = ("fx", "skew", "fy", "cx", "cy")
+_POLYNOMIALS = ("line_num", "line_den", "sample_num", "sample_den")
 _PRIOR_SHAPES = {"position": (3,), "position_sigma": (3,), "rotation": (3, 3), "rotation_sigma": (3,)}
 
 
 def camera_record(camera: Camera) -> dict[str, Any]:
-    """Return a camera as a table. Raises :class:`CapabilityError` where it is none of COLMAP's."""
-    if not isinstance(camera, ColmapCamera):
-        raise CapabilityError(
-            "A camera cannot be written",
-            expected="a central camera of one of COLMAP's models",
-            found=type(camera).__name__,
-        )
-    return {
-        "model": camera.model,
-        "width": int(camera.width),
-        "height": int(camera.height),
-        "params": list(camera.params),
-        "prior_focal_length": bool(camera.prior_focal_length),
-    }
+    """Return a camera as a table, all numbers to the bit.
+
+    Raises :class:`CapabilityError` where it is neither one of COLMAP's nor an affine nor an RPC camera.
+    """
+    if isinstance(camera, ColmapCamera):
+        return {
+            "model": camera.model,
+            "width": int(camera.width),
+            "height": int(camera.height),
+            "params": list(camera.params),
+            "prior_focal_length": bool(camera.prior_focal_length),
+        }
+    size = {"width": int(camera.width), "height": int(camera.height)}
+    if isinstance(camera, AffineCamera):
+        return {"model": _AFFINE, **size, "params": [getattr(camera, name) for name in _AFFINE_PARAMS]}
+    if isinstance(camera, RpcCamera):
+        record = {"model": _RPC, **size, "rpc": dataclasses.asdict(camera.rpc), "origin": list(camera.origin)}
+        return record | {"correction": list(camera.correction), "extrapolate": camera.extrapolate}
+    raise CapabilityError(
+        "A camera cannot be written",
+        expected="a central camera of one of COLMAP's models, an affine or an RPC camera",
+        found=type(camera).__name__,
+    )
 
 
-def camera_from_record(record: Any, where: str) -> ColmapCamera:
+def camera_from_record(record: Any, where: str) -> ColmapCamera | AffineCamera | RpcCamera:
     """Return a camera from its table. Raises :class:`DataError` naming ``where``."""
-    params = field(record, "params", list, where)
-    numbers = [finite(value, f"params of {where}") for value in params]
+    model = field(record, "model", str, where)
     width, height = field(record, "width", int, where), field(record, "height", int, where)
-    camera = checked_camera(field(record, "model", str, where), width, height, numbers, where)
+    check_size(width, height, where)
+    if model == _RPC:
+        return _rpc_camera(record, width, height, where)
+    numbers = _numbers(record, "params", where)
+    if model == _AFFINE:
+        if len(numbers) != len(_AFFINE_PARAMS):
+            raise DataError(
+                f"Cannot read the params of {where}",
+                expected=", ".join(_AFFINE_PARAMS),
+                found=f"{len(numbers)} numbers",
+            )
+        return _checked(where, lambda: AffineCamera(width, height, *numbers))
+    camera = checked_camera(model, width, height, numbers, where)
     return dataclasses.replace(camera, prior_focal_length=field(record, "prior_focal_length", bool, where))
+
+
+def _rpc_camera(record: Any, width: int, height: int, where: str) -> RpcCamera:
+    table = field(record, "rpc", dict, where)
+    values: dict[str, Any] = {
+        item.name: tuple(_numbers(table, item.name, f"the RPC of {where}"))
+        if item.name in _POLYNOMIALS
+        else finite(field(table, item.name, (int, float), where), f"{item.name} of {where}")
+        for item in dataclasses.fields(Rpc)
+    }
+    latitude, longitude, altitude = _three(_numbers(record, "origin", where), where)
+    correction = tuple(_numbers(record, "correction", where))
+    extrapolate = field(record, "extrapolate", bool, where)
+    origin = (latitude, longitude, altitude)
+    return _checked(where, lambda: RpcCamera(Rpc(**values), width, height, origin, correction, extrapolate))
+
+
+def _checked(where: str, make: Callable[[], Made]) -> Made:
+    """Return what ``make`` makes; what it refuses is told with the place that it came from."""
+    try:
+        return make()
+    except DataError as error:
+        raise DataError(f"The camera in {where} is damaged", found=str(error).rstrip(".")) from error
+
+
+def _numbers(record: Any, key: str, where: str) -> list[float]:
+    return [finite(value, f"{key} of {where}") for value in field(record, key, list, where)]
+
+
+def _three(numbers: list[float], where: str) -> tuple[float, float, float]:
+    if len(numbers) != 3 or abs(numbers[0]) > 90 or abs(numbers[1]) > 360:
+        raise DataError(
+            f"The origin in {where} is no place on Earth",
+            expected="latitude, longitude and altitude",
+            found=str(numbers)[:80],
+        )
+    return numbers[0], numbers[1], numbers[2]
+
+
+def pose_record(pose: RigidTransform, name: str) -> list[float]:
+    """Return ``cam_from_world`` of frame ``name`` as seven numbers: quaternion ``wxyz`` and translation.
+
+    Raises :class:`DataError` where it is no rigid motion.
+    """
+    check_rigid(pose, name)
+    return [*pose.quaternion.tolist(), *pose.translation.tolist()]
+
+
+def pose_from_record(record: Any, where: str) -> RigidTransform | None:
+    """Return the pose in a frame's table, None where it has none. Raises :class:`DataError` naming ``where``."""
+    values = field(record, "pose", list, where, optional=True)
+    if values is None:
+        return None
+    numbers = [finite(value, f"pose of {where}") for value in values]
+    if len(numbers) != 7:
+        raise DataError(
+            f"Cannot read the pose of {where}",
+            expected="a quaternion wxyz and a translation, 7 numbers",
+            found=f"{len(numbers)} numbers",
+        )
+    return checked_pose(numbers, where)
 
 
 def frame_record(frame: Frame) -> dict[str, Any]:

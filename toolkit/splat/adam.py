@@ -15,9 +15,9 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolkit.splat.cpu.kernels import kernel, launching, parallel_kernel
-from toolkit.splat.cpu.simd import LANES, fma, root, splat, total
-from toolkit.splat.cpu.simd_memory import load, store
+from toolkit.geometry.compiled import kernel, launching, parallel_kernel
+from toolkit.geometry.simd import LANES, fma, root, splat, total
+from toolkit.geometry.simd_memory import load, store
 
 BETA1: Final = 0.9
 BETA2: Final = 0.999

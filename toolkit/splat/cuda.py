@@ -57,8 +57,15 @@ def rasterize_cuda(
     MissingDependencyError
         Where gsplat is not installed.
     CapabilityError
-        Where there is no GPU, gsplat has no kernels for it, or the Gaussians are not float32 on it.
+        For affine views; where there is no GPU, gsplat has no kernels for it, or the Gaussians are not float32 on
+        it.
     """
+    if views.affine:
+        raise CapabilityError(
+            "Backend 'cuda' cannot draw affine views",
+            expected="pinhole cameras",
+            todo="Use backend 'cpu', or fit perspective cameras to the affine ones",
+        )
     gsplat = require("gsplat")
     _require_gpu(gaussians)
     # Poses may have been kept in double precision or on the CPU: their gradients find the way back.

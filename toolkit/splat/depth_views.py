@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 
+from toolkit.errors import DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.surface import DepthView
 from toolkit.scene import Scene
@@ -38,10 +39,17 @@ def splat_depth_views(
     Raises
     ------
     DataError
-        As :func:`toolkit.splat.images.load_photo`.
+        As :func:`toolkit.splat.images.load_photo`, and for affine cameras, which depth maps do not know.
     """
     for frame in scene.of_split("train"):
         photo = load_photo(scene, frame, settings.max_side, device=device)
+        if not isinstance(photo.camera, ColmapCamera):
+            raise DataError(
+                f"Frame '{frame.name}' cannot give a depth map",
+                expected="a pinhole camera",
+                found=type(photo.camera).__name__,
+                todo="Draw the surface's heights from above, or fit perspective cameras",
+            )
         output = rasterize(
             gaussians.detach(),
             photo.views,
@@ -53,7 +61,6 @@ def splat_depth_views(
         if photo.mask is not None:
             depth[photo.mask.cpu().numpy() < 255] = 0.0
         assert frame.cam_from_world is not None
-        assert isinstance(photo.camera, ColmapCamera)
         yield DepthView(
             name=frame.name,
             camera=photo.camera,

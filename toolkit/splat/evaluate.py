@@ -31,7 +31,8 @@ class RenderedView:
     photo, render:
         (H, W, 3) float32, 0 to 1.
     depth:
-        (H, W) float32 median camera depth in scene units, 0 where nothing was drawn.
+        (H, W) float32 median camera depth in scene units, 0 where nothing was drawn; NaN there in affine views,
+        where 0 is a depth like any other.
     weights:
         (H, W) float32, 0 where the frame's mask says that the photo does not count, or None without mask.
     """
@@ -68,9 +69,14 @@ def render_test_views(
             name=frame.name,
             photo=photo.colours().numpy(),
             render=output.colour[0].clamp(0, 1).cpu().numpy(),
-            depth=output.median_depth[0].cpu().numpy(),
+            depth=_median_depth(output, photo).cpu().numpy(),
             weights=None if weights is None else weights.numpy(),
         )
+
+
+def _median_depth(output: RenderOutput, photo: Photo) -> Tensor:
+    depth, drawn = output.median_depth[0], output.alpha[0] > 0
+    return torch.where(drawn, depth, float("nan")) if photo.views.affine else depth
 
 
 @torch.no_grad()

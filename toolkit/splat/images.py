@@ -13,7 +13,8 @@ from PIL import Image
 from torch import Tensor
 
 from toolkit.errors import DataError
-from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.affine_camera import AffineCamera
+from toolkit.geometry.cameras import Camera, ColmapCamera
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Frame, Scene
 from toolkit.scene.pictures import area_resize
@@ -36,7 +37,7 @@ class Photo:
     mask:
         (H, W) uint8, 255 where a pixel counts in full, or None where all do.
     camera:
-        The pinhole camera of this size.
+        The pinhole or affine camera of this size.
     views:
         Pose and intrinsics as the rasterizer wants them.
     """
@@ -44,7 +45,7 @@ class Photo:
     name: str
     pixels: Tensor
     mask: Tensor | None
-    camera: ColmapCamera
+    camera: ColmapCamera | AffineCamera
     views: Views
 
     def colours(self, device: str = "cpu") -> Tensor:
@@ -65,15 +66,25 @@ class Photo:
             # Rounded up: what counts a little must not vanish, or a photo might be left without any weight.
             shares = area_resize(mask.numpy().astype(np.float32), width, height)
             mask = torch.from_numpy(np.ceil(shares).clip(0, 255).astype(np.uint8))
-        pose = self.views.cam_from_world
-        intrinsics = torch.tensor(camera.intrinsics, dtype=torch.float32, device=pose.device)[None]
         return Photo(
             name=self.name,
             pixels=torch.from_numpy(area_resize(self.pixels.numpy(), width, height)),
             mask=mask,
             camera=camera,
-            views=Views(pose, intrinsics, width, height),
+            views=views_of(camera, self.views.cam_from_world),
         )
+
+
+def views_of(camera: ColmapCamera | AffineCamera, cam_from_world: Tensor) -> Views:
+    """Return what one camera, pinhole or affine, sees from poses (C, 4, 4), on their device."""
+    intrinsics = torch.tensor(camera.intrinsics, dtype=torch.float32, device=cam_from_world.device)
+    return Views(
+        cam_from_world,
+        intrinsics.expand(len(cam_from_world), 3, 3),
+        camera.width,
+        camera.height,
+        affine=isinstance(camera, AffineCamera),
+    )
 
 
 class Pyramid:
@@ -113,18 +124,10 @@ def load_photo(scene: Scene, frame: Frame, max_side: int, *, device: str = "cpu"
     Raises
     ------
     DataError
-        Where the camera is no pinhole camera or the frame has no pose; where the picture or its mask is missing,
-        damaged, not 8 bits deep or of another size than the camera; where the mask leaves no pixel.
+        Where the camera is neither a pinhole nor an affine one or the frame has no pose; where the picture or its
+        mask is missing, damaged, not 8 bits deep or of another size than the camera; where the mask leaves nothing.
     """
-    camera = scene.camera_of(frame)
-    if not isinstance(camera, ColmapCamera) or not camera.is_pinhole:
-        model = camera.model if isinstance(camera, ColmapCamera) else type(camera).__name__
-        raise DataError(
-            f"The camera of frame '{frame.name}' cannot be drawn",
-            expected="a pinhole camera",
-            found=model,
-            todo="Undistort the scene first",
-        )
+    camera = _drawable(scene.camera_of(frame), frame.name)
     if frame.cam_from_world is None:
         raise DataError(f"Frame '{frame.name}' has no pose", todo="Find poses first, or leave the frame out")
     path = scene.image_path(frame)
@@ -147,16 +150,25 @@ def load_photo(scene: Scene, frame: Frame, max_side: int, *, device: str = "cpu"
         pixels=torch.from_numpy(area_resize(pixels, width, height)),
         mask=small_mask,
         camera=small_camera,
-        views=Views(
-            torch.tensor(frame.cam_from_world.matrix, dtype=torch.float32, device=device)[None],
-            torch.tensor(small_camera.intrinsics, dtype=torch.float32, device=device)[None],
-            width,
-            height,
+        views=views_of(
+            small_camera, torch.tensor(frame.cam_from_world.matrix, dtype=torch.float32, device=device)[None]
         ),
     )
 
 
-def _read(path: Path, camera: ColmapCamera, mode: str) -> NDArray[np.uint8]:
+def _drawable(camera: Camera, name: str) -> ColmapCamera | AffineCamera:
+    """Return the camera of frame ``name`` where the rasterizer can draw what it sees."""
+    if isinstance(camera, AffineCamera) or (isinstance(camera, ColmapCamera) and camera.is_pinhole):
+        return camera
+    if isinstance(camera, ColmapCamera):
+        expected, found, todo = "a pinhole camera", camera.model, "Undistort the scene first"
+    else:
+        expected, found = "a pinhole or an affine camera", type(camera).__name__
+        todo = "Fit affine cameras to the scene's first"
+    raise DataError(f"The camera of frame '{name}' cannot be drawn", expected=expected, found=found, todo=todo)
+
+
+def _read(path: Path, camera: ColmapCamera | AffineCamera, mode: str) -> NDArray[np.uint8]:
     """Return a picture's pixels as the camera wrote them: no rotation by EXIF, transparency ignored."""
     try:
         with Image.open(path) as picture:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from toolkit.errors import StageError
+from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.scene import Points, Scene
 from toolkit.splat.gaussians import SH_C0, Gaussians
 
@@ -76,13 +77,19 @@ def _sizes(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
 def scene_extent(scene: Scene) -> float:
     """Return 1.1 times the largest distance of a training camera's centre from the mean of all.
 
-    It is the unit of learning rates and size limits, as ``cameras_extent`` in the code of Kerbl et al.
+    It is the unit of learning rates and size limits, as ``cameras_extent`` in the code of Kerbl et al. Affine
+    cameras have no centre that means anything: with one among the cameras, it is 1.1 times half the diagonal of the
+    largest affine picture, in scene units.
 
     Raises
     ------
     StageError
         Where there is no training frame with a pose, or where all cameras stand at one place.
     """
+    cameras = [scene.camera_of(frame) for frame in scene.of_split("train")]
+    affine = [camera for camera in cameras if isinstance(camera, AffineCamera)]
+    if affine:
+        return 1.1 * max(0.5 * math.hypot(camera.width / camera.fx, camera.height / camera.fy) for camera in affine)
     centres = scene.centres(scene.of_split("train"))
     if len(centres) == 0:
         raise StageError(

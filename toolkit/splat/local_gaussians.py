@@ -39,10 +39,17 @@ def gaussians_from_depth(photo: Photo, depth: NDArray[np.floating], settings: Lo
     Raises
     ------
     DataError
-        For a depth of another shape of picture.
+        For a depth of another shape of picture, and an affine camera.
     StageError
         Where fewer than four squares have a depth.
     """
+    if photo.views.affine:
+        raise DataError(
+            f"The camera of frame '{photo.name}' has no depths that begin at it",
+            expected="a pinhole camera",
+            found=type(photo.camera).__name__,
+            todo="Begin from points, or fit perspective cameras",
+        )
     small = photo.shrunk(settings.stride)
     camera, known, values = small.camera, known_depth(small, depth), depth_at(small, depth)
     row, column = np.nonzero(known)

@@ -132,10 +132,17 @@ def xi_rates(rate: float, extent: float) -> Tensor:
     return torch.tensor([rate * extent] * 3 + [rate] * 3, dtype=torch.float64)
 
 
-def pivot_depths(poses: Sequence[RigidTransform], points: Points | None) -> list[float]:
-    """Return for each camera the median depth of the points before it, 0 where there are none."""
+def pivot_depths(
+    poses: Sequence[RigidTransform], points: Points | None, *, nearest: Sequence[float] | None = None
+) -> list[float]:
+    """Return for each camera the median depth of the points before it, 0 where there are none.
+
+    ``nearest`` is the depth beyond which points are before each camera: 0 by default, minus infinity if affine.
+    """
     depths = [np.zeros(0) if points is None else pose.apply(points.xyz)[:, 2] for pose in poses]
-    return [float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0 for depth in depths]
+    limits = [0.0] * len(poses) if nearest is None else nearest
+    before = [depth[depth > limit] for depth, limit in zip(depths, limits, strict=True)]
+    return [float(np.median(depth)) if len(depth) else 0.0 for depth in before]
 
 
 def within_reach(cost: Tensor, reach: float) -> Tensor:

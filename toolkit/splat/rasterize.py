@@ -12,6 +12,12 @@ conventions, which every backend keeps:
 
 Kind "2d" is that of Huang et al. 2024: disks, met by the pixels' rays. The second and third rule do not apply to
 it; :mod:`toolkit.splat.reference_2d` says what does.
+
+Affine views are those of a camera infinitely far away, as a satellite nearly is: all rays are parallel to the
+camera's z axis. A point (x, y, z) in camera coordinates is seen at K2 (x, y) + c, whatever z is (Hartley and
+Zisserman, Multiple View Geometry, section 6.3), so the Jacobian is K2 for all and is never clamped. Nothing is
+behind such a camera: ``near`` does not apply, and depths are relative to the plane through the camera's origin,
+negative on the sensor's side of it. The direction for colours is the z axis in the world, the same for all.
 """
 
 from __future__ import annotations
@@ -38,7 +44,7 @@ JACOBIAN_MARGIN = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """C pinhole cameras of one image size.
+    """C pinhole cameras, or C affine ones, of one image size.
 
     Attributes
     ----------
@@ -46,15 +52,21 @@ class Views:
         (C, 4, 4) rigid motions. May carry gradients; compose it with :func:`toolkit.splat.lie.exp_se3` to
         optimise the 6-vector ``xi`` in ``cam_from_world <- exp(xi) cam_from_world``.
     intrinsics:
-        (C, 3, 3) calibration matrices in pixels, pixel centres at +0.5, no skew. Not differentiated.
+        (C, 3, 3) calibration matrices in pixels, pixel centres at +0.5, no skew. Not differentiated. Of affine
+        views: [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in pixels per scene unit and pixels, to be applied to
+        (x, y, 1).
     width, height:
         Image size in pixels.
+    affine:
+        Whether the cameras are affine: see :mod:`toolkit.splat.rasterize`. Their origins should lie near the
+        scene, for float32 must hold the depths.
     """
 
     cam_from_world: Tensor
     intrinsics: Tensor
     width: int
     height: int
+    affine: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.cam_from_world)
@@ -82,7 +94,7 @@ class RasterSettings:
     sh_degree:
         Degree up to which spherical harmonics are used; None: all that are stored.
     near:
-        Smallest camera depth that is drawn, in scene units; more than zero.
+        Smallest camera depth that is drawn, in scene units; more than zero. Affine views have none.
     backend:
         ``"reference"`` (float32 or float64 PyTorch, slow, readable), ``"cpu"`` (float32 numba) or ``"cuda"``.
     absolute_gradients:
@@ -104,6 +116,9 @@ class RasterSettings:
 @dataclass(frozen=True, slots=True)
 class RenderOutput:
     """Images of C views.
+
+    In affine views 0 is a depth like any other, and depths may be negative: there only alpha, which is 0 where
+    nothing was drawn, tells whether a pixel has one.
 
     Attributes
     ----------
@@ -189,7 +204,7 @@ def rasterize(
     Raises
     ------
     CapabilityError
-        Where the backend cannot do what the settings ask. Nothing is substituted.
+        Where the backend cannot do what settings or views ask. Nothing is substituted.
     DataError
         Where the background is no colour.
     """

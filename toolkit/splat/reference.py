@@ -136,13 +136,13 @@ def project(
     means = gaussians.means @ rotation.T + translation
     opacities = torch.sigmoid(gaussians.opacity_logits)
     # Everything below is computed for these only: behind the camera there is no projection, nor a gradient.
-    index = torch.nonzero((means[:, 2] >= settings.near) & (opacities >= ALPHA_MIN))[:, 0]
+    index = torch.nonzero(beyond_near(means, views, settings) & (opacities >= ALPHA_MIN))[:, 0]
     means, opacities = means[index], opacities[index]
 
-    fx, fy, cx, cy = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2]
-    x, y, z = means.unbind(-1)
-    means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], dim=-1)
-    jacobian = _jacobian(means, intrinsics, views)
+    z = means[:, 2]
+    plane = means[:, :2] if views.affine else means[:, :2] / z[:, None]
+    means2d = plane @ intrinsics[:2, :2].T + intrinsics[:2, 2]
+    jacobian = _affine_jacobian(intrinsics) if views.affine else _jacobian(means, intrinsics, views)
     axes = rotation_matrices(gaussians.quaternions[index]) * gaussians.log_scales[index].exp()[:, None, :]
     spread = jacobian @ rotation @ axes
     covariances = spread @ spread.mT + COVARIANCE_BLUR * torch.eye(2, dtype=means.dtype, device=means.device)
@@ -160,11 +160,29 @@ def project(
         radii = half[drawn].amax(-1).clamp(max=torch.iinfo(torch.int32).max // 2).to(torch.int32)
 
     conics = torch.stack([yy, -xy, xx], dim=-1)[drawn] / determinants[drawn, None]
-    camera_centre = -rotation.T @ translation
-    directions = torch.nn.functional.normalize(gaussians.means[index] - camera_centre, dim=-1)
-    degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
-    colours = (eval_sh(degree, gaussians.sh[index], directions) + 0.5).clamp(min=0)
+    colours = colours_of(gaussians, index, cam_from_world, views, settings)
     return Projected(index, means2d[drawn], conics, z[drawn], opacities[drawn], colours, radii)
+
+
+def beyond_near(means: Tensor, views: Views, settings: RasterSettings) -> Tensor:
+    """Return which of the points (N, 3), in camera coordinates, are not too near to be drawn, (N,)."""
+    if views.affine:
+        return torch.ones_like(means[:, 2], dtype=torch.bool)
+    return means[:, 2] >= settings.near
+
+
+def colours_of(
+    gaussians: Gaussians, index: Tensor, cam_from_world: Tensor, views: Views, settings: RasterSettings
+) -> Tensor:
+    """Return the colours (M, 3) of the Gaussians ``index`` (M,) in one view, by the direction they are seen in.
+
+    From an affine camera that is its third axis for all: the limit of a pinhole camera that is moved away along it.
+    """
+    rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
+    along = rotation[2].expand(len(index), 3) if views.affine else gaussians.means[index] + rotation.T @ translation
+    directions = torch.nn.functional.normalize(along, dim=-1)
+    degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
+    return (eval_sh(degree, gaussians.sh[index], directions) + 0.5).clamp(min=0)
 
 
 def rotation_matrices(quaternions: Tensor) -> Tensor:
@@ -191,6 +209,11 @@ def _jacobian(means: Tensor, intrinsics: Tensor, views: Views) -> Tensor:
     zero = torch.zeros_like(z)
     rows = [fx / z, zero, -fx * tan_x / z, zero, fy / z, -fy * tan_y / z]
     return torch.stack(rows, dim=-1).reshape(-1, 2, 3)
+
+
+def _affine_jacobian(intrinsics: Tensor) -> Tensor:
+    """Return d(pixel) / d(camera coordinates), (2, 3), of an affine view: the same everywhere."""
+    return torch.cat([intrinsics[:2, :2], intrinsics.new_zeros(2, 1)], dim=1)
 
 
 class _PerPixel(torch.autograd.Function):

@@ -14,6 +14,9 @@ What is drawn, beyond the rules in :mod:`toolkit.splat.rasterize`:
   is still drawn around the centre, whose depth is ``near`` or more.
 - A contribution's depth is that of the intersection where the disk decides, that of the centre elsewhere.
 - Gaussians are blended in order of their centres' camera depths.
+
+In affine views rays are parallel: a pixel's (u, v) are linear in its position, and so is the depth along a disk.
+There is no near plane, and depths may be negative.
 """
 
 from __future__ import annotations
@@ -33,8 +36,7 @@ from toolkit.splat.rasterize import (
     RenderOutput,
     Views,
 )
-from toolkit.splat.reference import MAX_EXTENT, of_all, rotation_matrices
-from toolkit.splat.sh import eval_sh
+from toolkit.splat.reference import MAX_EXTENT, beyond_near, colours_of, of_all, rotation_matrices
 
 # Deviation of the screen space Gaussian, in pixels: the square root of a half.
 FILTER_DEVIATION = 0.5**0.5
@@ -55,7 +57,8 @@ class Disks:
     axes:
         (M, 3, 2) the point (u, v) of the disk is seen at the pixel means2d + (axes[:2] @ (u, v)) / z, and its depth
         is z = depth + axes[2] @ (u, v). These are the rows of the paper's matrix T, in pixel coordinates around the
-        projected centre, where the third column is (0, 0, depth).
+        projected centre, where the third column is (0, 0, depth). In affine views it is seen at
+        means2d + axes[:2] @ (u, v), and its depth is the same.
     depths:
         (M,) camera depths of the centres.
     opacities, colours:
@@ -66,6 +69,8 @@ class Disks:
         (M, 2, 2) the box that can be touched, in pixels from the centre: lowest x and y, highest x and y.
     radii:
         (M,) int32, pixels.
+    affine:
+        Whether the view is.
     """
 
     index: Tensor
@@ -77,6 +82,7 @@ class Disks:
     normals: Tensor
     bounds: Tensor
     radii: Tensor
+    affine: bool = False
 
 
 def rasterize_reference_2d(
@@ -117,23 +123,28 @@ def project_disks(
     means = gaussians.means @ rotation.T + translation
     opacities = torch.sigmoid(gaussians.opacity_logits)
     # Everything below is computed for these only: behind the camera there is no projection, nor a gradient.
-    index = torch.nonzero((means[:, 2] >= settings.near) & (opacities >= ALPHA_MIN))[:, 0]
+    index = torch.nonzero(beyond_near(means, views, settings) & (opacities >= ALPHA_MIN))[:, 0]
     means, opacities = means[index], opacities[index]
 
-    focal, principal = intrinsics.diagonal()[:2], intrinsics[:2, 2]
+    scale, principal = intrinsics[:2, :2], intrinsics[:2, 2]
     depths = means[:, 2]
-    slopes = means[:, :2] / depths[:, None]
+    plane = means[:, :2] if views.affine else means[:, :2] / depths[:, None]
     turned = rotation @ rotation_matrices(gaussians.quaternions[index])
     spanning = turned[:, :, :2] * gaussians.log_scales[index, None, :2].exp()
     # x = fx X / Z + cx, so Z (x - centre) = fx (X - slope Z): linear in (u, v), and zero at the centre.
-    across = focal[:, None] * (spanning[:, :2] - slopes[:, :, None] * spanning[:, 2:])
+    moving = torch.zeros_like(plane) if views.affine else plane
+    across = scale @ (spanning[:, :2] - moving[:, :, None] * spanning[:, 2:])
     axes = torch.cat([across, spanning[:, 2:]], dim=1)
-    means2d = focal * slopes + principal
+    means2d = plane @ scale.T + principal
     normals = turned[:, :, 2]
-    normals = torch.where((normals * means).sum(-1, keepdim=True) > 0, -normals, normals)
+    away = normals[:, 2:] if views.affine else (normals * means).sum(-1, keepdim=True)
+    normals = torch.where(away > 0, -normals, normals)
 
     with torch.no_grad():
-        bounds = disk_bounds(axes, depths, opacities, settings.near)
+        if views.affine:
+            bounds = affine_disk_bounds(axes, opacities)
+        else:
+            bounds = disk_bounds(axes, depths, opacities, settings.near)
         size = bounds.new_tensor([views.width, views.height])
         on_image = ((means2d + bounds[:, 1] > 0) & (means2d + bounds[:, 0] < size)).all(-1)
         on_image &= torch.isfinite(axes).all(-1).all(-1) & torch.isfinite(bounds).all(-1).all(-1)
@@ -143,10 +154,7 @@ def project_disks(
         largest = torch.iinfo(torch.int32).max // 2
         radii = torch.ceil(bounds[drawn].abs().amax((1, 2))).clamp(max=largest).to(torch.int32)
 
-    camera_centre = -rotation.T @ translation
-    directions = torch.nn.functional.normalize(gaussians.means[index] - camera_centre, dim=-1)
-    degree = gaussians.sh_degree if settings.sh_degree is None else settings.sh_degree
-    colours = (eval_sh(degree, gaussians.sh[index], directions) + 0.5).clamp(min=0)
+    colours = colours_of(gaussians, index, cam_from_world, views, settings)
     return Disks(
         index,
         means2d[drawn],
@@ -157,6 +165,7 @@ def project_disks(
         normals[drawn],
         bounds[drawn],
         radii,
+        views.affine,
     )
 
 
@@ -180,6 +189,13 @@ def disk_bounds(axes: Tensor, depths: Tensor, opacities: Tensor, near: float) ->
     most = torch.where(bounded, torch.minimum(middle + half, farthest), farthest)
     low_pass = FILTER_DEVIATION * squared.sqrt()
     return torch.stack([torch.minimum(least, -low_pass), torch.maximum(most, low_pass)], dim=1)
+
+
+def affine_disk_bounds(axes: Tensor, opacities: Tensor) -> Tensor:
+    """Return the boxes (M, 2, 2) as :func:`disk_bounds`: in affine views ellipses about the projected centres."""
+    squared = (2 * torch.log(opacities / ALPHA_MIN)).clamp(min=0, max=MAX_EXTENT**2)[:, None]
+    half = torch.sqrt(squared * axes[:, :2].square().sum(-1).clamp(min=FILTER_DEVIATION**2))
+    return torch.stack([-half, half], dim=1)
 
 
 def _blend(
@@ -206,11 +222,14 @@ def meet(dx: Tensor, dy: Tensor, view: Disks, near: float) -> tuple[Tensor, Tens
 
     ``dx`` (1, W, M) and ``dy`` (rows, 1, M) are the pixels' distances from the projected centres. A pixel's ray is
     where the planes x = const and y = const meet; in the disk's frame they are h_u = x T_2 - T_0 and
-    h_v = y T_2 - T_1, and (u, v, 1) is across both (equations 8 to 10).
+    h_v = y T_2 - T_1, and (u, v, 1) is across both (equations 8 to 10). In affine views T_2 is (0, 0, 1) here.
     """
     (k_u, k_v), (l_u, l_v), (g_u, g_v) = ((row[:, 0], row[:, 1]) for row in view.axes.unbind(1))
-    hu = dx * g_u - k_u, dx * g_v - k_v, dx * view.depths
-    hv = dy * g_u - l_u, dy * g_v - l_v, dy * view.depths
+    if view.affine:
+        hu, hv = (-k_u, -k_v, dx), (-l_u, -l_v, dy)
+    else:
+        hu = dx * g_u - k_u, dx * g_v - k_v, dx * view.depths
+        hv = dy * g_u - l_u, dy * g_v - l_v, dy * view.depths
     a = hu[1] * hv[2] - hu[2] * hv[1]
     b = hu[2] * hv[0] - hu[0] * hv[2]
     c = hu[0] * hv[1] - hu[1] * hv[0]
@@ -221,7 +240,7 @@ def meet(dx: Tensor, dy: Tensor, view: Disks, near: float) -> tuple[Tensor, Tens
     u, v = torch.where(met, a, zero) / safe, torch.where(met, b, zero) / safe
     depth = g_u * u + g_v * v + view.depths
     on_disk, low_pass = 0.5 * (u * u + v * v), dx * dx + dy * dy
-    decides = met & (depth >= near) & (on_disk <= low_pass)
+    decides = met & (on_disk <= low_pass) & (view.affine | (depth >= near))
     return torch.where(decides, on_disk, low_pass), torch.where(decides, depth, view.depths)
 
 

@@ -11,7 +11,9 @@ from toolkit.errors import DataError
 from toolkit.splat.rasterize import RenderOutput, Views
 
 
-def normals_from_depth(depth: Tensor, intrinsics: Tensor) -> Tensor:
+def normals_from_depth(
+    depth: Tensor, intrinsics: Tensor, *, there: Tensor | None = None, affine: bool = False
+) -> Tensor:
     """Return the normals of the surface that a depth map shows, by finite differences of its points.
 
     Differences are central, and to the one neighbour there is at the image's edges (the paper, equation 15).
@@ -19,9 +21,14 @@ def normals_from_depth(depth: Tensor, intrinsics: Tensor) -> Tensor:
     Parameters
     ----------
     depth:
-        (H, W) camera depths (z), both sides at least 2; 0 where there is no surface.
+        (H, W) camera depths (z), both sides at least 2.
     intrinsics:
-        (3, 3) calibration matrix in pixels, pixel centres at +0.5.
+        (3, 3) calibration matrix in pixels, pixel centres at +0.5, as in :class:`toolkit.splat.rasterize.Views`.
+    there:
+        (H, W) bool, which pixels show a surface; by default those with a depth above 0, which affine views do not
+        keep to.
+    affine:
+        Whether the camera is affine, so that pixels' rays are parallel.
 
     Returns
     -------
@@ -42,16 +49,20 @@ def normals_from_depth(depth: Tensor, intrinsics: Tensor) -> Tensor:
         )
     height, width = depth.shape
     matrix = intrinsics.to(depth)
-    xs = (torch.arange(width, dtype=depth.dtype, device=depth.device) + 0.5 - matrix[0, 2]) / matrix[0, 0]
-    ys = (torch.arange(height, dtype=depth.dtype, device=depth.device) + 0.5 - matrix[1, 2]) / matrix[1, 1]
-    points = torch.stack([depth * xs, depth * ys[:, None], depth], dim=-1)
+    ys = ((torch.arange(height, dtype=depth.dtype, device=depth.device) + 0.5 - matrix[1, 2]) / matrix[1, 1])[
+        :, None
+    ]
+    xs = torch.arange(width, dtype=depth.dtype, device=depth.device) + 0.5 - matrix[0, 2]
+    xs = (xs - matrix[0, 1] * ys) / matrix[0, 0]
+    scale = torch.ones_like(depth) if affine else depth
+    points = torch.stack([scale * xs, scale * ys, depth], dim=-1)
     left, right = _neighbours(width, depth.device)
     above, below = _neighbours(height, depth.device)
     along_x = points[:, right] - points[:, left]
     along_y = points[below] - points[above]
     # x points right and y down: the cross product in this order points back to the camera.
     across = torch.linalg.cross(along_y, along_x)
-    there = depth > 0
+    there = depth > 0 if there is None else there
     known = there & there[:, left] & there[:, right] & there[above] & there[below]
     known = known & (across.detach().square().sum(-1) > 0)
     # The gradient of a length is not finite at zero: unknown normals must not get there.
@@ -93,7 +104,10 @@ def normal_consistency(
         raise _no_disks("normals")
     depths = output.expected_depth if depth == "expected" else output.median_depth
     surface = torch.stack(
-        [normals_from_depth(image, matrix) for image, matrix in zip(depths, views.intrinsics, strict=True)]
+        [
+            normals_from_depth(image, matrix, there=alpha > 0, affine=views.affine)
+            for image, matrix, alpha in zip(depths, views.intrinsics, output.alpha.detach(), strict=True)
+        ]
     )
     known = (surface != 0).any(-1)
     differences = output.alpha - (output.normals * surface).sum(-1)

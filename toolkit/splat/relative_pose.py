@@ -12,13 +12,13 @@ apart, is slow where they only help together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import torch
 from torch import Tensor
 
-from toolkit.errors import NumericalError
+from toolkit.errors import DataError, NumericalError
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.splat.adam import adam_update
@@ -27,7 +27,7 @@ from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo
 from toolkit.splat.lie import exp_se3
 from toolkit.splat.loss import photometric_loss
-from toolkit.splat.rasterize import RasterSettings, Views, rasterize
+from toolkit.splat.rasterize import RasterSettings, rasterize
 from toolkit.splat.train_settings import decayed
 
 STAGE: Final = "splat.relative_pose"
@@ -103,9 +103,18 @@ def find_relative_pose(
 
     Raises
     ------
+    DataError
+        For a photo of an affine camera.
     NumericalError
         Where a gradient or the pose is no longer finite.
     """
+    if photo.views.affine:
+        raise DataError(
+            f"The pose of photo '{photo.name}' cannot be searched for",
+            expected="a pinhole camera, for the search goes by what is before it",
+            found=type(photo.camera).__name__,
+            todo="Learn poses with the splat (refine_poses), or fit perspective cameras",
+        )
     search = _Search(gaussians.detach(), start, settings, raster if raster is not None else RasterSettings())
     done = 0
     for begin, end, factor in _levels(photo, settings.steps):
@@ -175,8 +184,8 @@ class _Search:
     def _loss(self, photo: Photo, pose: Tensor) -> Tensor | None:
         """Return the loss over covered pixels, None where too few are; notes the share that is."""
         means = self.gaussians.means
-        views = Views(
-            pose[None].to(means), photo.views.intrinsics.to(means), photo.camera.width, photo.camera.height
+        views = replace(
+            photo.views, cam_from_world=pose[None].to(means), intrinsics=photo.views.intrinsics.to(means)
         )
         output = rasterize(self.gaussians, views, self.raster)
         device = str(means.device)

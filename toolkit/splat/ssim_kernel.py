@@ -20,9 +20,9 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from toolkit.splat.cpu.kernels import kernel, launching, parallel_kernel
-from toolkit.splat.cpu.simd import LANES, splat, total
-from toolkit.splat.cpu.simd_memory import load
+from toolkit.geometry.compiled import kernel, launching, parallel_kernel
+from toolkit.geometry.simd import LANES, splat, total
+from toolkit.geometry.simd_memory import load
 
 Image = NDArray[np.float32]
 

@@ -7,10 +7,13 @@ equals the uninterrupted one to the bit on the same machine, build and number of
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from toolkit.checkpoint import load_newest, require_same
 from toolkit.errors import CapabilityError
@@ -18,6 +21,7 @@ from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
 from toolkit.splat.density import DensityChange
+from toolkit.splat.depth_loss import DepthPredictions, prediction_notes
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo, load_photos
 from toolkit.splat.initialise import scene_extent
@@ -121,13 +125,14 @@ def train_splats(
     progress: Progress = silent,
     checkpoint_dir: Path | None = None,
     observer: Observer | None = None,
+    depth_predictions: Mapping[str, NDArray[np.floating]] | None = None,
 ) -> TrainResult:
     """Train Gaussians on the frames of the split ``train`` that have a pose.
 
     Parameters
     ----------
     scene:
-        With poses, pinhole cameras and points.
+        With poses, pinhole or affine cameras, and points.
     settings:
         See :class:`TrainSettings`.
     seed:
@@ -142,16 +147,19 @@ def train_splats(
     observer:
         Called after each step with the training as it is; what it returns is told with the step's values. The
         result is the same with and without.
+    depth_predictions:
+        With ``depth_weight``: predicted depth or disparity (H, W) of frames' whole pictures, by the frames' names,
+        in any size and unit, NaN where there is none. Photos without one are not held to any.
 
     Raises
     ------
     StageError
-        Without training frames with poses, without points, where all Gaussians vanish, or where the memory does
-        not hold the first ones.
+        Without training frames with poses, without points, where all Gaussians vanish, where the memory does not
+        hold the first ones, or with ``depth_weight`` and no prediction for any training photo.
     DataError
-        For photos or cameras that cannot be used, and where all checkpoints are damaged.
+        For photos, cameras or predictions that cannot be used, and where all checkpoints are damaged.
     RunError
-        Where the folder's checkpoints belong to another scene, seed or other settings.
+        Where the folder's checkpoints belong to another scene, seed, other settings or predictions.
     NumericalError
         For NaN or infinity in loss, gradients or parameters.
     CapabilityError
@@ -163,6 +171,7 @@ def train_splats(
     photos = load_photos(scene, scene.of_split("train"), settings.max_side, device=device, progress=progress)
     test_frames = scene.of_split("test")
     test_photo = load_photo(scene, test_frames[0], settings.max_side, device=device) if test_frames else None
+    predictions = _predictions(settings, depth_predictions, photos)
     made_with = {
         "settings": settings.to_dict(),
         "seed": seed,
@@ -172,6 +181,8 @@ def train_splats(
             with_priors=settings.refine_poses and settings.pose_prior == "sensor",
         ),
     }
+    if predictions is not None:
+        made_with["depth predictions"] = predictions.fingerprint()
     checkpoint, damaged = (None, ()) if checkpoint_dir is None else load_newest(checkpoint_dir)
     if checkpoint is not None and checkpoint_dir is not None:
         require_same(checkpoint.state["made_with"], made_with, checkpoint_dir)
@@ -183,15 +194,18 @@ def train_splats(
         free = None if device.startswith("cuda") else free_memory()
         settings = _capped(settings, most_gaussians(settings, points, free))
         state = TrainState.start(scene, len(photos), settings, extent, seed, device)
-    notes = (*_notes(scene, settings, wanted), *damaged)
+    unused = prediction_notes(predictions, depth_predictions is not None, len(photos))
+    notes = (*_notes(scene, settings, wanted), *unused, *damaged)
     resumed_at = state.step
     message = " ".join([*notes, f"resumed at step {resumed_at}" if resumed_at else ""]).strip()
     progress(ProgressEvent(STAGE, resumed_at, settings.steps, message))
 
     if state.step < settings.steps:
-        state.seconds["compile"] = state.seconds.get("compile", 0.0) + warm_up(settings)
+        kinds = {photo.views.affine for photo in photos}
+        compiling = sum(warm_up(settings, affine=affine) for affine in kinds)
+        state.seconds["compile"] = state.seconds.get("compile", 0.0) + compiling
     targets = _pose_targets(scene, settings, extent)
-    trainer = Trainer(state, settings, extent, photos, test_photo, targets, observer)
+    trainer = Trainer(state, settings, extent, photos, test_photo, targets, observer, predictions)
     trainer.run(progress, checkpoint_dir, made_with)
     poses = trainer.poses()
     return TrainResult(
@@ -213,6 +227,23 @@ def train_splats(
             if frame.cam_from_world is not None and frame.name in poses
         },
     )
+
+
+def _predictions(
+    settings: TrainSettings,
+    predictions: Mapping[str, NDArray[np.floating]] | None,
+    photos: Sequence[Photo],
+) -> DepthPredictions | None:
+    """Return the predictions that the training is held to, None where it is held to none.
+
+    A shape that does not fit is told before the first step.
+    """
+    if settings.depth_weight == 0:
+        return None
+    known = DepthPredictions({} if predictions is None else predictions, [photo.name for photo in photos])
+    for photo in photos:
+        known.of_photo(photo)
+    return known
 
 
 def _check_device(settings: TrainSettings, device: str) -> None:

@@ -6,13 +6,14 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from toolkit.checkpoint import Checkpoint
+from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.scene import PosePrior, Scene
 from toolkit.splat.density import DensityChange, DensityControl
 from toolkit.splat.exposure import Exposure
@@ -182,7 +183,11 @@ class TrainState:
 def _start_poses(scene: Scene, settings: TrainSettings) -> PoseRefinement:
     frames = scene.of_split("train")
     poses = [frame.cam_from_world for frame in frames if frame.cam_from_world is not None]
-    return PoseRefinement.start(poses, pivot_depths(poses, scene.points) if settings.pose_pivot else None)
+    if not settings.pose_pivot:
+        return PoseRefinement.start(poses)
+    affine = [isinstance(scene.camera_of(frame), AffineCamera) for frame in frames]
+    nearest = [-math.inf if parallel else 0.0 for parallel in affine]
+    return PoseRefinement.start(poses, pivot_depths(poses, scene.points, nearest=nearest))
 
 
 def _density_type(settings: TrainSettings) -> type[DensityControl] | type[McmcControl]:
@@ -218,7 +223,8 @@ def scene_fingerprint(scene: Scene, photos: Iterable[Photo], *, with_priors: boo
     poses, pictures, points = hashlib.sha256(), hashlib.sha256(), hashlib.sha256()
     for photo in photos:
         camera = photo.camera
-        poses.update(json.dumps([photo.name, camera.width, camera.height, camera.params]).encode())
+        numbers = list(astuple(camera)[2:]) if isinstance(camera, AffineCamera) else camera.params
+        poses.update(json.dumps([photo.name, camera.width, camera.height, numbers]).encode())
         poses.update(photo.views.cam_from_world.cpu().numpy().tobytes())
         pictures.update(photo.pixels.numpy().tobytes())
         if photo.mask is not None:

@@ -18,6 +18,7 @@ from toolkit.geometry.rigid import RigidTransform
 from toolkit.metrics.image import psnr
 from toolkit.progress import Progress, ProgressEvent
 from toolkit.splat.density_rounds import control_density
+from toolkit.splat.depth_loss import DepthPredictions, compared_depth, depth_loss
 from toolkit.splat.evaluate import draw, fixed_background, raster_settings
 from toolkit.splat.exposure import expose
 from toolkit.splat.gaussian_costs import anisotropy_excess, mean_opacity
@@ -53,10 +54,11 @@ class Trainer:
         test_photo: Photo | None,
         pose_targets: PoseTargets | None = None,
         observer: Observer | None = None,
+        predictions: DepthPredictions | None = None,
     ) -> None:
         self.state, self.settings, self.extent = state, settings, extent
         self.photos, self.test_photo = Pyramid(photos), test_photo
-        self.pose_targets, self.observer = pose_targets, observer
+        self.pose_targets, self.observer, self.predictions = pose_targets, observer, predictions
         self.schedule = Schedule.of(settings)
 
     def run(self, progress: Progress, folder: Path | None, made_with: dict[str, Any]) -> None:
@@ -125,6 +127,7 @@ class Trainer:
             value = float(loss.detach())
             cost = _sum(state.density.cost(gaussians), self._surface_cost(output, photo, step))
             cost = _sum(_sum(cost, self._shape_cost(gaussians)), pull)
+            cost = _sum(cost, self._depth_cost(output, photo, step))
         _require_finite(value, photo, step)
         with self._clock("backward"):
             (loss if cost is None else loss + cost).backward()
@@ -173,6 +176,19 @@ class Trainer:
         normals, spread = self.schedule.normal_weight_at(step), self.schedule.distortion_weight
         cost = normals * normal_consistency(output, photo.views) if normals > 0 else None
         return _sum(cost, spread / self.extent**2 * depth_distortion(output) if spread > 0 else None)
+
+    def _depth_cost(self, output: RenderOutput, photo: Photo, step: int) -> Tensor | None:
+        """Return what holds the drawn depth to a predicted one, None where there is none to compare."""
+        prediction = None if self.predictions is None else self.predictions.of_photo(photo)
+        if prediction is None:
+            return None
+        affine, settings = photo.views.affine, self.settings
+        drawn = compared_depth(output, predicts=settings.depth_predicts, affine=affine)
+        # A pixel's depth is known as well as it is covered.
+        covered, mask = output.alpha[0].detach(), photo.weights(str(drawn.device))
+        counting = covered if mask is None else covered * mask
+        cost = depth_loss(drawn, prediction.to(drawn.device), counting, kind=settings.depth_loss)
+        return None if cost is None else self.schedule.depth_weight_at(step) * cost
 
     def _background(self, like: Tensor) -> Tensor:
         if self.settings.background == "random":

@@ -16,11 +16,11 @@ from toolkit.splat.train_settings import TrainSettings
 _SIDE = 16
 
 
-def warm_up(settings: TrainSettings) -> float:
+def warm_up(settings: TrainSettings, *, affine: bool = False) -> float:
     """Do everything that a training step does, on one Gaussian and a few pixels; return the seconds that it took.
 
     Numba compiles a kernel when it is first called, up to half a minute for all of them, and keeps it on disk:
-    later processes load it in under a second.
+    later processes load it in under a second. ``affine``: for affine views.
     """
     start = time.perf_counter()
     if settings.backend == "cpu":
@@ -33,7 +33,7 @@ def warm_up(settings: TrainSettings) -> float:
         )
         optimiser = GaussianOptimiser(one)
         intrinsics = torch.tensor([[_SIDE, 0, _SIDE / 2], [0, _SIDE, _SIDE / 2], [0, 0, 1]])
-        views = Views(torch.eye(4)[None], intrinsics[None], _SIDE, _SIDE)
+        views = Views(torch.eye(4)[None], intrinsics[None], _SIDE, _SIDE, affine=affine)
         output = rasterize(optimiser.gaussians, views, raster_settings(settings))
         photometric_loss(output.colour[0], torch.zeros(_SIDE, _SIDE, 3)).backward()
         drawn = (output.radii > 0).any(dim=0) if settings.update == "visible" else None

@@ -10,7 +10,8 @@ from PIL import Image
 
 from toolkit.errors import DataError, SettingsError, StageError, ToolkitError
 from toolkit.files import atomic_folder, read_json, write_json
-from toolkit.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
+from toolkit.geometry.ellipsoid import geodetic_from_enu
+from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.geometry.rpc_fit import RpcFit, fit_rpc
 from toolkit.optional import require
 from toolkit.progress import Progress, silent, track

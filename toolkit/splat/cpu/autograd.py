@@ -5,6 +5,7 @@ They are two so that the projected centres are a tensor of the graph, whose grad
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,9 +15,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from toolkit.errors import CapabilityError
+from toolkit.geometry.compiled import launching
 from toolkit.splat.cpu.backward import blend_backward
 from toolkit.splat.cpu.forward import blend
-from toolkit.splat.cpu.kernels import launching
 from toolkit.splat.cpu.projection import camera_rows, project
 from toolkit.splat.cpu.projection_backward import project_backward
 from toolkit.splat.cpu.tiles import TileLists, build_tile_lists
@@ -46,7 +47,7 @@ def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, 
         gaussians.sh,
         views.cam_from_world.to(torch.float32),
         views,
-        (settings.near, degree),
+        (near_plane(views, settings), degree),
         Projection(project, project_backward, 8),
     )
     carrier = absolute_carrier(means2d, settings)
@@ -54,6 +55,11 @@ def rasterize_cpu(gaussians: Gaussians, views: Views, settings: RasterSettings, 
         means2d, splats, background.to(torch.float32), factors, radii, (views.width, views.height), carrier
     )
     return RenderOutput(colour, alpha, expected_depth, median_depth, radii, means2d, absolute=carrier)
+
+
+def near_plane(views: Views, settings: RasterSettings) -> float:
+    """Return the smallest depth that is drawn."""
+    return -math.inf if views.affine else settings.near
 
 
 def check_inputs(gaussians: Gaussians, views: Views, background: Tensor) -> None:
@@ -123,7 +129,9 @@ class Project(torch.autograd.Function):
         count, number = len(means), len(cam_from_world)
         near, degree = near_and_degree
         parameters = flat(means, quaternions, log_scales, logits, sh)
-        cameras = camera_rows(as_array(cam_from_world), as_array(views.intrinsics), views.width, views.height)
+        cameras = camera_rows(
+            as_array(cam_from_world), as_array(views.intrinsics), views.width, views.height, views.affine
+        )
         means2d, splats, outlines = (means.new_empty(number, count, columns) for columns in (2, by.columns, 4))
         radii = means.new_empty(number, count, 1, dtype=torch.int32)
         size = (views.width, views.height, float(near), degree)

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from toolkit.splat.cpu.autograd import Project, Projection, as_array, check_inputs
+from toolkit.geometry.compiled import launching
+from toolkit.splat.cpu.autograd import Project, Projection, as_array, check_inputs, near_plane
 from toolkit.splat.cpu.backward_2d import blend_backward_2d
 from toolkit.splat.cpu.forward_2d import blend_2d
-from toolkit.splat.cpu.kernels import launching
 from toolkit.splat.cpu.projection_2d import project_2d
 from toolkit.splat.cpu.projection_backward_2d import project_backward_2d
 from toolkit.splat.cpu.tiles import TileLists
@@ -46,10 +46,10 @@ def rasterize_cpu_2d(
         gaussians.sh,
         views.cam_from_world.to(torch.float32),
         views,
-        (settings.near, degree),
+        (near_plane(views, settings), degree),
         Projection(project_2d, project_backward_2d, SPLAT),
     )
-    size = views.width, views.height, float(settings.near)
+    size = views.width, views.height, None if views.affine else float(settings.near)
     colour, alpha, expected, median, normals, distortion = _Blend.apply(
         means2d, splats, background.to(torch.float32), bounds, radii, size
     )
@@ -67,7 +67,7 @@ class _Blend(torch.autograd.Function):
         background: Tensor,
         bounds: Tensor,
         radii: Tensor,
-        size: tuple[int, int, float],
+        size: tuple[int, int, float | None],
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
         width, height, near = size
         number = len(means2d)
@@ -80,7 +80,7 @@ class _Blend(torch.autograd.Function):
         with launching():
             for c in range(number):
                 a, b, d, e = (array[c] for array in footprint)
-                lists.append(build_tile_lists_2d(a, b, d, e, width, height))
+                lists.append(build_tile_lists_2d(a, b, d, e, (width, height), near))
                 used.append(blend_2d(lists[c], near, as_array(background), tuple(image[c] for image in images)))
         ctx.save_for_backward(colour, alpha, depth, normals, distortion)
         ctx.lists, ctx.used, ctx.near, ctx.shape = lists, used, near, means2d.shape[:2]

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd import exp2, fma, fnma, lanes, larger, select, smaller, some, splat, sums, total
+from toolkit.geometry.simd_memory import load, prefetch, store, store_row
 from toolkit.splat.cpu.footprint import FIRST_RUN, MOST_RUNS, PIXELS, STRIDE, list_runs
 from toolkit.splat.cpu.forward import clear_transmittance, scattered
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import HALF_LOG2_E_ROOT, LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import exp2, fma, fnma, lanes, larger, select, smaller, some, splat, sums, total
-from toolkit.splat.cpu.simd_memory import load, prefetch, store, store_row
 from toolkit.splat.cpu.tiles import (
     AHEAD,
     BLUE,

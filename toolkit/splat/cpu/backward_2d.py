@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd import LANES, exp2, fma, fnma, lanes, select, smaller, some, splat, sums
+from toolkit.geometry.simd_memory import load, prefetch, store
 from toolkit.splat.cpu.footprint import PIXELS, STRIDE
 from toolkit.splat.cpu.forward import clear_transmittance, scattered
 from toolkit.splat.cpu.forward_2d import HALF_LOG2_E, meet
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import LANES, exp2, fma, fnma, lanes, select, smaller, some, splat, sums
-from toolkit.splat.cpu.simd_memory import load, prefetch, store
 from toolkit.splat.cpu.tiles import AHEAD, TILE_HEIGHT, TILE_WIDTH, TileLists
 from toolkit.splat.cpu.tiles_2d import (
     A_X,
@@ -51,7 +51,8 @@ Array = np.ndarray[Any, Any]
 FiveImages = tuple[Array, Array, Array, Array, Array]
 
 # Sums of one disk in one tile: w dL/dcolour (3), w dL/dnormal (3), dL/ddepth, g; with p, r, s the gradients by the
-# numerators of u and v and by q: p, r, s, p x, p y, r x, r y, s x, s y; where the filter decides: g x, g y.
+# numerators of u and v and by q, in affine views by what is taken off the depth: p, r, s, p x, p y, r x, r y, s x,
+# s y; where the filter decides: g x, g y.
 SLOT = 24
 # A tile's planes: the part still to come of S, the sum of w dL/dw; dL/dcolour (3); dL/dnormal (3); E; dL/dE / W;
 # 2 W dL/dD; D / W dL/dD.
@@ -95,7 +96,7 @@ def _load_pixels(
 def _blend_tile_backward(
     left: int,
     top: int,
-    near: float,
+    near: float | None,
     records: Array,
     entries: Array,
     images: FiveImages,
@@ -122,7 +123,7 @@ def _blend_tile_backward(
         first_row, last_row = pixel_rows(records, rank, top)
         for row in range(first_row, last_row + 1):
             dy = np.float32(row) - y
-            first, last = pixel_columns(records, rank, left, dy)
+            first, last = pixel_columns(records, rank, left, dy, near)
             for column in range(first, last + 1, LANES):
                 place = row * STRIDE + column
                 before = load(transmittance, place)
@@ -163,7 +164,10 @@ def _blend_tile_backward(
                 inverse = select(decides, inverse, zero)
                 d_depth = fma(h, select(decides, inverse, one), d_depth)
                 p, r = (zero - g) * (u * inverse), (zero - g) * (v * inverse)
-                s = inverse * fnma(h, z, g * squared)
+                if near is None:
+                    s = inverse * (zero - h)
+                else:
+                    s = inverse * fnma(h, z, g * squared)
                 p_sum, r_sum, s_sum = p_sum + p, r_sum + r, s_sum + s
                 p_x, r_x, s_x = fma(p, dx, p_x), fma(r, dx, r_x), fma(s, dx, s_x)
                 p_y, r_y, s_y = p_y + p * dy, r_y + r * dy, s_y + s * dy
@@ -186,7 +190,7 @@ def _blend_backward(
     used: Array,
     records: Array,
     columns: int,
-    near: float,
+    near: float | None,
     images: FiveImages,
     gradients: FiveImages,
     slots: Array,
@@ -236,7 +240,7 @@ def _add_slots(
 def blend_backward_2d(
     lists: TileLists,
     used: Array,
-    near: float,
+    near: float | None,
     images: FiveImages,
     gradients: FiveImages,
     by_means2d: Array,
@@ -267,7 +271,7 @@ def blend_backward_2d(
         used,
         lists.records,
         lists.columns,
-        np.float32(near),
+        None if near is None else np.float32(near),
         images,
         gradients,
         slots,

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.splat.cpu.kernels import inlined_kernel
-from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import (
+from toolkit.geometry.compiled import inlined_kernel
+from toolkit.geometry.simd import (
     LANES,
     bits,
     ceiling,
@@ -25,7 +24,8 @@ from toolkit.splat.cpu.simd import (
     smaller,
     splat,
 )
-from toolkit.splat.cpu.simd_memory import store
+from toolkit.geometry.simd_memory import store
+from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
 from toolkit.splat.cpu.tiles import (
     FACTOR_XX,
     FACTOR_YX,

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd import bits, exp2, fma, fnma, lanes, ones, select, smaller, some, splat
+from toolkit.geometry.simd_memory import load, prefetch, store
 from toolkit.splat.cpu.footprint import FIRST_RUN, MOST_RUNS, PIXELS, STRIDE, list_runs
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd import bits, exp2, fma, fnma, lanes, ones, select, smaller, some, splat
-from toolkit.splat.cpu.simd_memory import load, prefetch, store
 from toolkit.splat.cpu.tiles import (
     AHEAD,
     BLUE,

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from toolkit.geometry.compiled import inlined_kernel, kernel, parallel_kernel
+from toolkit.geometry.simd import LANES, bits, exp2, fma, fnma, lanes, ones, select, smaller, some, splat
+from toolkit.geometry.simd_memory import load, prefetch, store
 from toolkit.splat.cpu.footprint import PIXELS, STRIDE
 from toolkit.splat.cpu.forward import clear_transmittance, scattered
-from toolkit.splat.cpu.kernels import inlined_kernel, kernel, parallel_kernel
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN, LOG2_E
-from toolkit.splat.cpu.simd import LANES, bits, exp2, fma, fnma, lanes, ones, select, smaller, some, splat
-from toolkit.splat.cpu.simd_memory import load, prefetch, store
 from toolkit.splat.cpu.tiles import AHEAD, TILE_HEIGHT, TILE_WIDTH, TileLists
 from toolkit.splat.cpu.tiles_2d import (
     A_X,
@@ -37,7 +37,7 @@ from toolkit.splat.cpu.tiles_2d import (
 from toolkit.splat.rasterize import ALPHA_MAX, TRANSMITTANCE_MIN
 
 Array = np.ndarray[Any, Any]
-F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
+F8 = Any  # a vector of :mod:`toolkit.geometry.simd`: numba knows it, Python does not
 Images = tuple[Array, Array, Array, Array, Array, Array]
 
 HALF_LOG2_E = LOG2_E / 2
@@ -47,7 +47,7 @@ PLANES = 10
 
 
 @inlined_kernel
-def meet(records: Array, rank: int, dx: F8, dy: float, near: float) -> tuple[F8, ...]:
+def meet(records: Array, rank: int, dx: F8, dy: float, near: float | None) -> tuple[F8, ...]:
     """Return how eight pixels of a row see a disk.
 
     Returns
@@ -55,14 +55,19 @@ def meet(records: Array, rank: int, dx: F8, dy: float, near: float) -> tuple[F8,
     tuple
         Where the disk decides and not the filter; u, v, 1 / q; twice the negative logarithm of the falloff; depth.
     """
+    low_pass, centre = 2.0 * (dx * dx + dy * dy), splat(records[rank, DEPTH])
+    if near is None:
+        u = dx * records[rank, A_X] + records[rank, A_Y] * dy
+        v = dx * records[rank, B_X] + records[rank, B_Y] * dy
+        on_disk, depth = u * u + v * v, centre - (dx * records[rank, C_X] + records[rank, C_Y] * dy)
+        decides = on_disk <= low_pass
+        return decides, u, v, splat(1.0), select(decides, on_disk, low_pass), select(decides, depth, centre)
     inverse = 1.0 / (dx * records[rank, C_X] + (np.float32(1) + records[rank, C_Y] * dy))
     u = (dx * records[rank, A_X] + records[rank, A_Y] * dy) * inverse
     v = (dx * records[rank, B_X] + records[rank, B_Y] * dy) * inverse
-    on_disk, low_pass = u * u + v * v, 2.0 * (dx * dx + dy * dy)
-    depth = records[rank, DEPTH] * inverse
+    on_disk, depth = u * u + v * v, records[rank, DEPTH] * inverse
     # Where the ray is in the disk's plane these are not numbers, and no comparison holds.
     decides = (on_disk <= low_pass) & (depth >= near)
-    centre = splat(records[rank, DEPTH])
     return decides, u, v, inverse, select(decides, on_disk, low_pass), select(decides, depth, centre)
 
 
@@ -94,7 +99,7 @@ def _write_pixels(
 
 @kernel
 def _blend_tile(
-    left: int, top: int, near: float, records: Array, entries: Array, background: Array, images: Images
+    left: int, top: int, near: float | None, records: Array, entries: Array, background: Array, images: Images
 ) -> int:
     """Blend one tile; return how many of its entries were used before all its pixels were finished.
 
@@ -114,7 +119,7 @@ def _blend_tile(
         first_row, last_row = pixel_rows(records, rank, top)
         for row in range(first_row, last_row + 1):
             dy = np.float32(row) - y
-            first, last = pixel_columns(records, rank, left, dy)
+            first, last = pixel_columns(records, rank, left, dy, near)
             for column in range(first, last + 1, LANES):
                 place = row * STRIDE + column
                 before = load(transmittance, place)
@@ -160,7 +165,7 @@ def _blend(
     entries: Array,
     records: Array,
     columns: int,
-    near: float,
+    near: float | None,
     background: Array,
     images: Images,
     used: Array,
@@ -174,7 +179,7 @@ def _blend(
         used[tile] = _blend_tile(left, top, near, records, own, background, images)
 
 
-def blend_2d(lists: TileLists, near: float, background: Array, images: Images) -> Array:
+def blend_2d(lists: TileLists, near: float | None, background: Array, images: Images) -> Array:
     """Blend one view.
 
     Parameters
@@ -182,7 +187,7 @@ def blend_2d(lists: TileLists, near: float, background: Array, images: Images) -
     lists:
         Which disks touch which tile.
     near:
-        Least depth at which a disk is met.
+        Least depth at which a disk is met; None in affine views.
     background:
         (3,) float32.
     images:
@@ -195,5 +200,6 @@ def blend_2d(lists: TileLists, near: float, background: Array, images: Images) -
         (T,) int64: number of entries of each tile that were looked at before all its pixels were finished.
     """
     used = np.empty(len(lists.starts) - 1, dtype=np.int64)
-    _blend(lists.starts, lists.entries, lists.records, lists.columns, np.float32(near), background, images, used)
+    least = None if near is None else np.float32(near)
+    _blend(lists.starts, lists.entries, lists.records, lists.columns, least, background, images, used)
     return used

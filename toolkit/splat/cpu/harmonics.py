@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from toolkit.splat.cpu.kernels import kernel
-from toolkit.splat.cpu.simd import LANES, splat
-from toolkit.splat.cpu.simd_memory import load, store
+from toolkit.geometry.compiled import kernel
+from toolkit.geometry.simd import LANES, splat
+from toolkit.geometry.simd_memory import load, store
 from toolkit.splat.gaussians import SH_C0
 from toolkit.splat.sh import (
     SH_C1,
@@ -23,7 +23,7 @@ from toolkit.splat.sh import (
 )
 
 Array = np.ndarray[Any, Any]
-F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
+F8 = Any  # a vector of :mod:`toolkit.geometry.simd`: numba knows it, Python does not
 
 
 @kernel

@@ -3,6 +3,10 @@
 With M = J R_cam R S (the projection's Jacobian J, ``cam_from_world``'s rotation, the Gaussian's rotation R and
 scales S) the covariance in the image is M M^T plus the blur (Zwicker et al. 2001; Kerbl et al. 2023, equation 5).
 
+Affine views go the same way, told apart by numbers in the camera's row: x and y are divided by one in place of
+the depth, slopes are held at zero, the near plane is at minus infinity, and the skew is taken out by a sheared
+first axis of the camera: fx x + skew y = fx (x + shear y).
+
 What is passed on to blending, for each view and Gaussian:
 
 - ``means2d`` (2,);
@@ -20,14 +24,14 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd import LANES, ceiling, exp2, larger, log2, root, select, smaller, some, splat
+from toolkit.geometry.simd_memory import gather, load, scatter
 from toolkit.splat.cpu.harmonics import fill_basis
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
-from toolkit.splat.cpu.simd import LANES, ceiling, exp2, larger, log2, root, select, smaller, some, splat
-from toolkit.splat.cpu.simd_memory import gather, load, scatter
 from toolkit.splat.rasterize import ALPHA_MIN, COVARIANCE_BLUR, JACOBIAN_MARGIN
 
 Array = np.ndarray[Any, Any]
-F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
+F8 = Any  # a vector of :mod:`toolkit.geometry.simd`: numba knows it, Python does not
 
 # Gaussians are handled in groups of this many, whatever the number of threads, so that sums repeat to the bit.
 GROUP = 512
@@ -37,24 +41,36 @@ LOG2_ALPHA_MIN = math.log2(ALPHA_MIN)
 HALF_LOG2_E_ROOT = math.sqrt(LOG2_E / 2)
 MAX_EXTENT = 3.33
 MAX_RADIUS = float(1 << 30)
-# Columns of a camera: rotation (9), translation (3), centre (3), and:
+# Columns of a camera: rotation (9), translation (3), centre (3), and the following. PERSPECTIVE is 1, and 0 in
+# affine views, where rotation and translation are sheared and minus the viewing direction stands for the centre.
 TRANSLATION, CENTRE = 9, 12
 FOCAL_X, FOCAL_Y, PRINCIPAL_X, PRINCIPAL_Y = 15, 16, 17, 18
 LEAST_SLOPE_X, MOST_SLOPE_X, LEAST_SLOPE_Y, MOST_SLOPE_Y = 19, 20, 21, 22
-CAMERA_COLUMNS = 23
+PERSPECTIVE, SHEAR = 23, 24
+CAMERA_COLUMNS = 25
+# Least and greatest slope of affine views: what is held between them is the greatest, and nothing lies between.
+_HELD_AT_ZERO = (math.inf, 0.0)
 LARGEST = 1e37  # larger determinants would overflow further on
 
 
-def camera_rows(cam_from_world: Array, intrinsics: Array, width: int, height: int) -> Array:
+def camera_rows(cam_from_world: Array, intrinsics: Array, width: int, height: int, affine: bool) -> Array:
     """Return the columns of C cameras, (C, CAMERA_COLUMNS) float32; computed in float64."""
-    rotation = cam_from_world[:, :3, :3].astype(np.float64)
-    translation = cam_from_world[:, :3, 3].astype(np.float64)
-    centre = -np.einsum("cji,cj->ci", rotation, translation)
+    motion = cam_from_world[:, :3].astype(np.float64)
     fx, fy, cx, cy = (intrinsics[:, i, j].astype(np.float64) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    margin_x, margin_y = JACOBIAN_MARGIN * width / (2 * fx), JACOBIAN_MARGIN * height / (2 * fy)
-    limits = [-cx / fx - margin_x, (width - cx) / fx + margin_x, -cy / fy - margin_y, (height - cy) / fy + margin_y]
-    columns = np.stack([fx, fy, cx, cy, *limits], axis=1)
-    return np.concatenate([rotation.reshape(-1, 9), translation, centre, columns], axis=1).astype(np.float32)
+    one, zero = np.ones_like(fx), np.zeros_like(fx)
+    if affine:
+        centre, shear = -motion[:, 2, :3], intrinsics[:, 0, 1] / fx
+        motion[:, 0] += shear[:, None] * motion[:, 1]
+        limits, kind = [edge * one for edge in (*_HELD_AT_ZERO, *_HELD_AT_ZERO)], [zero, shear]
+    else:
+        centre = -np.einsum("cji,cj->ci", motion[:, :, :3], motion[:, :, 3])
+        margin_x, margin_y = JACOBIAN_MARGIN * width / (2 * fx), JACOBIAN_MARGIN * height / (2 * fy)
+        limits = [-cx / fx - margin_x, (width - cx) / fx + margin_x]
+        limits += [-cy / fy - margin_y, (height - cy) / fy + margin_y]
+        kind = [one, zero]
+    columns = np.stack([fx, fy, cx, cy, *limits, *kind], axis=1)
+    rotation = motion[:, :, :3].reshape(-1, 9)
+    return np.concatenate([rotation, motion[:, :, 3], centre, columns], axis=1).astype(np.float32)
 
 
 @kernel
@@ -71,7 +87,7 @@ def sigmoid(x: F8) -> F8:
 
 @kernel
 def gather_three(array: Array, i: int, column: int, last: int) -> tuple[F8, F8, F8]:
-    """Return three columns of eight rows: see :func:`toolkit.splat.cpu.simd_memory.gather`."""
+    """Return three columns of eight rows: see :func:`toolkit.geometry.simd_memory.gather`."""
     return gather(array, i, column, last), gather(array, i, column + 1, last), gather(array, i, column + 2, last)
 
 
@@ -83,6 +99,12 @@ def to_camera(camera: Array, x: F8, y: F8, z: F8) -> tuple[F8, F8, F8]:
         camera[3] * x + camera[4] * y + camera[5] * z + camera[TRANSLATION + 1],
         camera[6] * x + camera[7] * y + camera[8] * z + camera[TRANSLATION + 2],
     )
+
+
+@kernel
+def divisor(camera: Array, z: F8) -> F8:
+    """Return what x and y are divided by: the depth, one in affine views."""
+    return camera[PERSPECTIVE] * z + (1.0 - camera[PERSPECTIVE])
 
 
 @kernel
@@ -148,8 +170,9 @@ def spread_rows(plane: tuple[F8, ...], axes: tuple[F8, ...]) -> tuple[F8, F8, F8
 
 @kernel
 def unit_direction(camera: Array, x: F8, y: F8, z: F8) -> tuple[F8, F8, F8, F8]:
-    """Return directions from the camera centre to points, and one over the distance."""
-    dx, dy, dz = x - camera[CENTRE], y - camera[CENTRE + 1], z - camera[CENTRE + 2]
+    """Return directions from the camera centre to points, and one over the distance; the same in affine views."""
+    by_point = camera[PERSPECTIVE]
+    dx, dy, dz = by_point * x - camera[CENTRE], by_point * y - camera[CENTRE + 1], by_point * z - camera[CENTRE + 2]
     inverse = 1.0 / larger(root(dx * dx + dy * dy + dz * dz), splat(1e-12))
     return dx * inverse, dy * inverse, dz * inverse, inverse
 
@@ -179,7 +202,7 @@ def _measure(
 ) -> tuple[Any, ...]:
     """Return which are drawn; the centres in the image (2); covariance xx, xy, yy and determinant; the radius."""
     width, height, _, _ = size
-    inverse_z = 1.0 / select(drawn, z, splat(1.0))
+    inverse_z = 1.0 / select(drawn, divisor(camera, z), splat(1.0))
     centre_x = camera[FOCAL_X] * x * inverse_z + camera[PRINCIPAL_X]
     centre_y = camera[FOCAL_Y] * y * inverse_z + camera[PRINCIPAL_Y]
     slope_x, slope_y = slopes(camera, x, y, inverse_z)
@@ -286,7 +309,7 @@ def project(
     cameras:
         (C, CAMERA_COLUMNS) of :func:`camera_rows`.
     size:
-        Width, height, near plane, degree of the spherical harmonics.
+        Width, height, near plane (minus infinity in affine views), degree of the spherical harmonics.
     parameters:
         Means (N, 3), quaternions (N, 4), log scales (N, 3), opacity logits (N, 1), spherical harmonics (N, 3 K):
         float32, contiguous.

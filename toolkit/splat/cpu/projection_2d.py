@@ -5,6 +5,9 @@ centre, at 1 + g . (u, v) times its depth: k, l and g are the rows of the matrix
 9), taken about that centre and divided by its depth. With W the inverse of the matrix of rows k and l, and
 c = -g W, that is (u, v) = W (x, y) / q, q = 1 + c . (x, y): what :mod:`toolkit.splat.cpu.tiles_2d` needs.
 
+In affine views, where nothing is divided by the depth, a point is seen (x, y) = (k . (u, v), l . (u, v)) pixels
+from the projected centre, at g . (u, v) more than its depth: (u, v) = W (x, y), and the depth is c . (x, y) less.
+
 What is passed on to blending, for each view and Gaussian: ``means2d`` (2,) and ``splats`` (SPLAT,), with their
 gradients, and ``bounds`` (4,), the box that can be touched.
 """
@@ -16,8 +19,10 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd import LANES, ceiling, larger, log2, root, select, smaller, some, splat
+from toolkit.geometry.simd_memory import gather, scatter
 from toolkit.splat.cpu.harmonics import fill_basis
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import (
     FOCAL_X,
     FOCAL_Y,
@@ -26,8 +31,11 @@ from toolkit.splat.cpu.projection import (
     LOG2_E,
     MAX_EXTENT,
     MAX_RADIUS,
+    PERSPECTIVE,
     PRINCIPAL_X,
     PRINCIPAL_Y,
+    SHEAR,
+    divisor,
     exp,
     gather_three,
     plane_rows,
@@ -38,13 +46,11 @@ from toolkit.splat.cpu.projection import (
     unit_direction,
     unit_quaternion,
 )
-from toolkit.splat.cpu.simd import LANES, ceiling, larger, log2, root, select, smaller, some, splat
-from toolkit.splat.cpu.simd_memory import gather, scatter
 from toolkit.splat.cpu.tiles_2d import A_X, A_Y, B_X, B_Y, C_X, C_Y, DEPTH, NORMAL_X, OPACITY, RED, SPLAT
 from toolkit.splat.rasterize import ALPHA_MIN
 
 Array = np.ndarray[Any, Any]
-F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
+F8 = Any  # a vector of :mod:`toolkit.geometry.simd`: numba knows it, Python does not
 Parameters = tuple[Array, Array, Array, Array, Array]
 
 # A disk is seen edge-on where its image is thinner than this times its length: no pixel would meet it.
@@ -106,10 +112,11 @@ def invert(k_u: F8, k_v: F8, l_u: F8, l_v: F8) -> tuple[Any, F8, F8, F8, F8]:
 @kernel
 def normal_in_camera(camera: Array, axes: tuple[F8, ...], x: F8, y: F8, z: F8) -> tuple[F8, F8, F8, F8]:
     """Return the third column in camera axes, towards the camera, and the sign (1 or -1) that made it so."""
-    n_x = camera[0] * axes[2] + camera[1] * axes[5] + camera[2] * axes[8]
     n_y = camera[3] * axes[2] + camera[4] * axes[5] + camera[5] * axes[8]
+    n_x = camera[0] * axes[2] + camera[1] * axes[5] + camera[2] * axes[8] - camera[SHEAR] * n_y
     n_z = camera[6] * axes[2] + camera[7] * axes[5] + camera[8] * axes[8]
-    sign = select(n_x * x + n_y * y + n_z * z > 0.0, splat(-1.0), splat(1.0))
+    away = camera[PERSPECTIVE] * (n_x * x + n_y * y) + n_z * divisor(camera, z)
+    sign = select(away > 0.0, splat(-1.0), splat(1.0))
     return sign * n_x, sign * n_y, sign * n_z, sign
 
 
@@ -162,15 +169,17 @@ def _project_eight(
     if not some(drawn):
         _write_nothing(i, last, projected)
         return
-    inverse_z = 1.0 / select(drawn, z, splat(1.0))
-    slope_x, slope_y = x * inverse_z, y * inverse_z
+    inverse_z = 1.0 / select(drawn, divisor(camera, z), splat(1.0))
+    slope_x, slope_y, by_depth = x * inverse_z, y * inverse_z, camera[PERSPECTIVE]
     axes = disk_axes(quaternions, log_scales, i, last)
-    k_u, k_v, l_u, l_v = image_rows(plane_rows(camera, slope_x, slope_y, inverse_z), axes)
+    k_u, k_v, l_u, l_v = image_rows(plane_rows(camera, by_depth * slope_x, by_depth * slope_y, inverse_z), axes)
     g_u, g_v = depth_row(camera, axes, inverse_z)
     squared = larger(log2(opacity) - LOG2_ALPHA_MIN, zero) * (2.0 / LOG2_E)
     squared = smaller(squared, splat(MAX_EXTENT * MAX_EXTENT))
-    left, right = _reach(squared, k_u, k_v, g_u, g_v, z * (1.0 / near))
-    top, bottom = _reach(squared, l_u, l_v, g_u, g_v, z * (1.0 / near))
+    # What is drawn is at the near plane or beyond. In affine views this is one, and nothing is seen larger.
+    over_near = larger(z * (1.0 / near), splat(1.0))
+    left, right = _reach(squared, k_u, k_v, by_depth * g_u, by_depth * g_v, over_near)
+    top, bottom = _reach(squared, l_u, l_v, by_depth * g_u, by_depth * g_v, over_near)
     centre_x = camera[FOCAL_X] * slope_x + camera[PRINCIPAL_X]
     centre_y = camera[FOCAL_Y] * slope_y + camera[PRINCIPAL_Y]
     squares = k_u * k_u + k_v * k_v + l_u * l_u + l_v * l_v + g_u * g_u + g_v * g_v
@@ -236,7 +245,7 @@ def project_2d(
     cameras:
         (C, CAMERA_COLUMNS) of :func:`toolkit.splat.cpu.projection.camera_rows`.
     size:
-        Width, height, near plane, degree of the spherical harmonics.
+        Width, height, near plane (minus infinity in affine views), degree of the spherical harmonics.
     parameters:
         Means (N, 3), quaternions (N, 4), log scales (N, 3), opacity logits (N, 1), spherical harmonics (N, 3 K):
         float32, contiguous.

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numba import prange
 
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd import LANES, fma, lanes, select, some, splat, total
+from toolkit.geometry.simd_memory import gather, load, scatter, store
 from toolkit.splat.cpu.harmonics import direction_gradient, fill_basis
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
 from toolkit.splat.cpu.projection import (
     FOCAL_X,
     FOCAL_Y,
@@ -17,6 +19,9 @@ from toolkit.splat.cpu.projection import (
     LEAST_SLOPE_Y,
     MOST_SLOPE_X,
     MOST_SLOPE_Y,
+    PERSPECTIVE,
+    SHEAR,
+    divisor,
     exp,
     gather_three,
     plane_rows,
@@ -28,13 +33,12 @@ from toolkit.splat.cpu.projection import (
     unit_direction,
     unit_quaternion,
 )
-from toolkit.splat.cpu.simd import LANES, fma, lanes, select, some, splat, total
-from toolkit.splat.cpu.simd_memory import gather, load, scatter, store
 
 Array = np.ndarray[Any, Any]
-F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
+F8 = Any  # a vector of :mod:`toolkit.geometry.simd`: numba knows it, Python does not
 
-# Gradients by a camera: rotation (9), translation (3), and centre (3) as the origin of viewing directions.
+# Gradients by the first columns of a camera: rotation (9), translation (3), and centre (3) as the origin of viewing
+# directions.
 CAMERA = 15
 
 
@@ -156,7 +160,7 @@ def _geometry_backward(
     last, zero = len(means) - 1, splat(0.0)
     world = gather_three(means, i, 0, last)
     x, y, z = to_camera(camera, world[0], world[1], world[2])
-    inverse_z = 1.0 / select(drawn, z, splat(1.0))
+    inverse_z = 1.0 / select(drawn, divisor(camera, z), splat(1.0))
     slope_x, slope_y = slopes(camera, x, y, inverse_z)
     plane = plane_rows(camera, slope_x, slope_y, inverse_z)
     m = spread_rows(plane, axes)
@@ -180,7 +184,8 @@ def _geometry_backward(
     d_ratio_x = d_ratio_x + camera[FOCAL_X] * gather(by_mean2d, i, 0, last)
     d_ratio_y = d_ratio_y + camera[FOCAL_Y] * gather(by_mean2d, i, 1, last)
     dx, dy = d_ratio_x * inverse_z, d_ratio_y * inverse_z
-    dz = gather(by_splat, i, 4, last) - (scaling + d_ratio_x * ratio_x + d_ratio_y * ratio_y) * inverse_z
+    d_divisor = zero - (scaling + d_ratio_x * ratio_x + d_ratio_y * ratio_y) * inverse_z
+    dz = gather(by_splat, i, 4, last) + camera[PERSPECTIVE] * d_divisor
 
     mine = drawn & (lanes() < len(means) - i)
     by_point = select(mine, dx, zero), select(mine, dy, zero), select(mine, dz, zero)
@@ -230,7 +235,8 @@ def shade_backward(
     mine = drawn & (lanes() < len(means) - i)
     for j in range(3):
         add_to(camera_sums, 12 + j, select(mine, zero - by_mean[j], zero))
-    return by_mean
+    by_point = camera[PERSPECTIVE]
+    return by_point * by_mean[0], by_point * by_mean[1], by_point * by_mean[2]
 
 
 @kernel
@@ -343,6 +349,32 @@ def _project_backward(
         )
 
 
+def pose_gradient(cameras: Array, by_camera: Array) -> Array:
+    """Return the gradients by ``cam_from_world`` (C, 4, 4), float32.
+
+    Parameters
+    ----------
+    cameras:
+        (C, CAMERA_COLUMNS).
+    by_camera:
+        (C, CAMERA) gradients by their first columns, float64.
+    """
+    by_rotation, by_translation, by_centre = np.split(by_camera, [9, 12], axis=1)
+    by_motion = np.concatenate([by_rotation.reshape(-1, 3, 3), by_translation[:, :, None]], axis=2)
+    rotation, translation = cameras[:, :9].reshape(-1, 3, 3), cameras[:, 9:12]
+    perspective = cameras[:, PERSPECTIVE] > 0
+    # centre = -rotation^T translation; in affine views it is minus the third row of the rotation, and the first row
+    # is sheared.
+    of_rotation = -translation[:, :, None] * by_centre[:, None, :]
+    of_translation = -np.einsum("cij,cj->ci", rotation, by_centre)
+    by_motion[perspective] += np.concatenate([of_rotation, of_translation[:, :, None]], axis=2)[perspective]
+    by_motion[~perspective, 2, :3] -= by_centre[~perspective]
+    by_motion[:, 1] += cameras[:, SHEAR, None] * by_motion[:, 0]
+    by_pose = np.zeros((len(cameras), 4, 4), dtype=np.float32)
+    by_pose[:, :3] = by_motion
+    return by_pose
+
+
 def project_backward(
     cameras: Array,
     degree: int,
@@ -379,11 +411,4 @@ def project_backward(
     groups = (len(means) + GROUP - 1) // GROUP
     shares = np.empty((groups, len(cameras), CAMERA), dtype=np.float32)
     _project_backward(cameras, degree, parameters, projected, by_projected, gradients, shares)
-    total_share = shares.sum(axis=0, dtype=np.float64)
-    rotation, translation = cameras[:, :9].reshape(-1, 3, 3), cameras[:, 9:12]
-    by_rotation, by_translation, by_centre = np.split(total_share, [9, 12], axis=1)
-    # centre = -rotation^T translation
-    by_pose = np.zeros((len(cameras), 4, 4), dtype=np.float32)
-    by_pose[:, :3, :3] = by_rotation.reshape(-1, 3, 3) - translation[:, :, None] * by_centre[:, None, :]
-    by_pose[:, :3, 3] = by_translation - np.einsum("cij,cj->ci", rotation, by_centre)
-    return gradients, by_pose
+    return gradients, pose_gradient(cameras, shares.sum(axis=0, dtype=np.float64))

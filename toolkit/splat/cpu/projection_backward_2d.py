@@ -10,16 +10,33 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
-from toolkit.splat.cpu.projection import FOCAL_X, FOCAL_Y, GROUP, gather_three, plane_rows, sigmoid, to_camera
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd import LANES, lanes, select, some, splat, total
+from toolkit.geometry.simd_memory import gather, load, scatter
+from toolkit.splat.cpu.projection import (
+    FOCAL_X,
+    FOCAL_Y,
+    GROUP,
+    PERSPECTIVE,
+    SHEAR,
+    divisor,
+    gather_three,
+    plane_rows,
+    sigmoid,
+    to_camera,
+)
 from toolkit.splat.cpu.projection_2d import depth_row, disk_axes, image_rows, invert, normal_in_camera
-from toolkit.splat.cpu.projection_backward import CAMERA, add_to, quaternion_gradient, shade_backward
-from toolkit.splat.cpu.simd import LANES, lanes, select, some, splat, total
-from toolkit.splat.cpu.simd_memory import gather, load, scatter
+from toolkit.splat.cpu.projection_backward import (
+    CAMERA,
+    add_to,
+    pose_gradient,
+    quaternion_gradient,
+    shade_backward,
+)
 from toolkit.splat.cpu.tiles_2d import A_X, A_Y, B_X, B_Y, C_X, C_Y, DEPTH, NORMAL_X, OPACITY
 
 Array = np.ndarray[Any, Any]
-F8 = Any  # a vector of :mod:`toolkit.splat.cpu.simd`: numba knows it, Python does not
+F8 = Any  # a vector of :mod:`toolkit.geometry.simd`: numba knows it, Python does not
 Parameters = tuple[Array, Array, Array, Array, Array]
 
 
@@ -65,8 +82,10 @@ def _geometry_backward(
     last, zero = len(means) - 1, splat(0.0)
     world = gather_three(means, i, 0, last)
     x, y, z = to_camera(camera, world[0], world[1], world[2])
-    inverse_z = 1.0 / select(drawn, z, splat(1.0))
-    slope_x, slope_y = x * inverse_z, y * inverse_z
+    inverse_z = 1.0 / select(drawn, divisor(camera, z), splat(1.0))
+    by_depth = camera[PERSPECTIVE]
+    # Only in perspective do the axes' images depend on where the disk is.
+    slope_x, slope_y = by_depth * x * inverse_z, by_depth * y * inverse_z
     rows = image_rows(plane_rows(camera, slope_x, slope_y, inverse_z), axes)
     g_u, g_v = depth_row(camera, axes, inverse_z)
     d_ku, d_kv, d_lu, d_lv, d_gu, d_gv = _rows_gradient(i, last, by_splat, rows, g_u, g_v)
@@ -77,15 +96,16 @@ def _geometry_backward(
     v_z = inverse_z * d_gv - slope_x * v_x - slope_y * v_y
     _, _, _, sign = normal_in_camera(camera, axes, x, y, z)
     n_x = sign * gather(by_splat, i, NORMAL_X, last)
-    n_y = sign * gather(by_splat, i, NORMAL_X + 1, last)
+    n_y = sign * gather(by_splat, i, NORMAL_X + 1, last) - camera[SHEAR] * n_x
     n_z = sign * gather(by_splat, i, NORMAL_X + 2, last)
 
     scaling = rows[0] * d_ku + rows[1] * d_kv + rows[2] * d_lu + rows[3] * d_lv + g_u * d_gu + g_v * d_gv
     # (Z of either axis) = g z
-    d_slope_x = camera[FOCAL_X] * (gather(by_mean2d, i, 0, last) - g_u * d_ku - g_v * d_kv)
-    d_slope_y = camera[FOCAL_Y] * (gather(by_mean2d, i, 1, last) - g_u * d_lu - g_v * d_lv)
+    d_slope_x = camera[FOCAL_X] * (gather(by_mean2d, i, 0, last) - by_depth * (g_u * d_ku + g_v * d_kv))
+    d_slope_y = camera[FOCAL_Y] * (gather(by_mean2d, i, 1, last) - by_depth * (g_u * d_lu + g_v * d_lv))
     dx, dy = d_slope_x * inverse_z, d_slope_y * inverse_z
-    dz = gather(by_splat, i, DEPTH, last) - (scaling + d_slope_x * slope_x + d_slope_y * slope_y) * inverse_z
+    d_divisor = zero - (scaling + d_slope_x * slope_x + d_slope_y * slope_y) * inverse_z
+    dz = gather(by_splat, i, DEPTH, last) + by_depth * d_divisor
 
     mine = drawn & (lanes() < len(means) - i)
     point, by_u = (select(mine, dx, zero), select(mine, dy, zero), select(mine, dz, zero)), (u_x, u_y, u_z)
@@ -230,10 +250,4 @@ def project_backward_2d(
     gradients = means, quaternions, log_scales, logits, sh
     shares = np.empty(((len(means) + GROUP - 1) // GROUP, len(cameras), CAMERA), dtype=np.float32)
     _project_backward(cameras, degree, parameters, projected, by_projected, gradients, shares)
-    rotation, translation = cameras[:, :9].reshape(-1, 3, 3), cameras[:, 9:12]
-    by_rotation, by_translation, by_centre = np.split(shares.sum(axis=0, dtype=np.float64), [9, 12], axis=1)
-    # centre = -rotation^T translation
-    by_pose = np.zeros((len(cameras), 4, 4), dtype=np.float32)
-    by_pose[:, :3, :3] = by_rotation.reshape(-1, 3, 3) - translation[:, :, None] * by_centre[:, None, :]
-    by_pose[:, :3, 3] = by_translation - np.einsum("cij,cj->ci", rotation, by_centre)
-    return gradients, by_pose
+    return gradients, pose_gradient(cameras, shares.sum(axis=0, dtype=np.float64))

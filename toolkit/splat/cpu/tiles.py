@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from toolkit.splat.cpu.kernels import kernel, parallel_kernel
+from toolkit.geometry.compiled import kernel, parallel_kernel
+from toolkit.geometry.simd_memory import prefetch
 from toolkit.splat.cpu.projection import LOG2_ALPHA_MIN
-from toolkit.splat.cpu.simd_memory import prefetch
 
 Array = np.ndarray[Any, Any]
 
@@ -101,7 +101,12 @@ def depth_order(depths: Array, radii: Array) -> Array:
     """Return the indices (V,) int32 of Gaussians with a radius, sorted by depth, then by index."""
     drawn = np.flatnonzero(radii > 0).astype(np.uint64)
     # The bits of positive floats sort like the floats, and plain integers sort fastest.
-    keys = np.ascontiguousarray(depths[drawn]).view(np.uint32).astype(np.uint64) << np.uint64(32) | drawn
+    bits = np.ascontiguousarray(depths[drawn]).view(np.uint32)
+    negative = bits >> np.uint32(31)
+    if negative.any():
+        # Of negative ones the bits sort the other way round, and come first.
+        bits = np.where(negative, ~bits, bits | np.uint32(1 << 31))
+    keys = bits.astype(np.uint64) << np.uint64(32) | drawn
     keys.sort()
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
 

@@ -4,6 +4,9 @@ With (x, y) the distance of a pixel from a disk's projected centre, the ray meet
 u = (a_x x + a_y y) / q, v = (b_x x + b_y y) / q, z = depth / q, with q = 1 + c_x x + c_y y: the planes of equations
 8 to 10 in Huang et al. 2024, solved once for each disk and not for each pixel. Neither u nor v has a constant term
 that could cancel.
+
+In affine views q is 1, and z = depth - c_x x - c_y y. Kernels are told by ``near``, which is None there, and are
+compiled apart: perspective views pay nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from toolkit.splat.cpu.kernels import inlined_kernel, kernel, parallel_kernel
+from toolkit.geometry.compiled import inlined_kernel, kernel, parallel_kernel
 from toolkit.splat.cpu.tiles import SLACK, TILE_HEIGHT, TILE_WIDTH, TileLists, accumulate_counts, depth_order
 
 Array = np.ndarray[Any, Any]
@@ -37,7 +40,9 @@ _SMALLEST_RUN = 512
 
 
 @kernel
-def _write_record(records: Array, rank: int, i: int, means2d: Array, splats: Array, bounds: Array) -> None:
+def _write_record(
+    records: Array, rank: int, i: int, means2d: Array, splats: Array, bounds: Array, near: float | None
+) -> None:
     """Gather what drawing one disk needs."""
     for k in range(SPLAT):
         records[rank, k] = splats[i, k]
@@ -53,7 +58,9 @@ def _write_record(records: Array, rank: int, i: int, means2d: Array, splats: Arr
     a_x, a_y, b_x, b_y, c_x = splats[i, A_X], splats[i, A_Y], splats[i, B_X], splats[i, B_Y], splats[i, C_X]
     records[rank, CROSS] = a_x * b_y - a_y * b_x
     length = a_x * a_x + b_x * b_x
-    leading = length - squared * c_x * c_x
+    leading = length
+    if near is not None:
+        leading = length - squared * c_x * c_x
     records[rank, LEADING] = leading if leading > np.float32(LEAST_LEADING) * length else np.float32(-1)
 
 
@@ -69,18 +76,22 @@ def pixel_rows(records: Array, rank: int, top: int) -> tuple[int, int]:
 
 
 @inlined_kernel
-def pixel_columns(records: Array, rank: int, left: int, dy: float) -> tuple[int, int]:
+def pixel_columns(records: Array, rank: int, left: int, dy: float, near: float | None) -> tuple[int, int]:
     """Return the first and last column of pixels, of the tile that starts at column ``left``, in one row.
 
-    ``dy`` is the row's distance from the projected centre. Where the first lies behind the last there are none.
+    ``dy`` is the row's distance from the projected centre; ``near`` is None in affine views. Where the first lies
+    behind the last there are none.
     """
     zero, squared = np.float32(0), records[rank, SQUARED]
     low, high = records[rank, LEFT], records[rank, RIGHT]
     if records[rank, LEADING] > zero:
         # |(u, v)|^2 = r^2 is a quadratic equation in x; its discriminant in the form that does not cancel.
-        a_x, b_x, c_x = records[rank, A_X], records[rank, B_X], records[rank, C_X]
+        a_x, b_x, c_x = records[rank, A_X], records[rank, B_X], np.float32(0)
         a_0, b_0 = records[rank, A_Y] * dy, records[rank, B_Y] * dy
-        q_0 = np.float32(1) + records[rank, C_Y] * dy
+        q_0 = np.float32(1)
+        if near is not None:
+            c_x = records[rank, C_X]
+            q_0 += records[rank, C_Y] * dy
         a, b, cross = q_0 * a_x - c_x * a_0, q_0 * b_x - c_x * b_0, records[rank, CROSS] * dy
         discriminant = squared * (a * a + b * b) - cross * cross
         if discriminant >= zero:
@@ -129,13 +140,14 @@ def _count(
     counts: Array,
     cursors: Array,
     size: tuple[int, int, int, int],
+    near: float | None,
 ) -> None:
     """Write all records, the number of tiles of each rank, and the number of entries of each run and tile."""
     count, runs = len(order), len(cursors)
     width, height, columns, rows = size
     for run in prange(runs):
         for rank in range(np.uint64(run * count // runs), np.uint64((run + 1) * count // runs)):
-            _write_record(records, rank, np.uint64(order[rank]), projected[0], projected[1], projected[2])
+            _write_record(records, rank, np.uint64(order[rank]), projected[0], projected[1], projected[2], near)
             first, stop, first_row, end_row = _touched(records, rank, width, height, columns, rows)
             for row in range(first_row, end_row):
                 for tile in range(row * columns + first, row * columns + stop):
@@ -163,7 +175,7 @@ def _fill(
 
 
 def build_tile_lists_2d(
-    means2d: Array, splats: Array, bounds: Array, radii: Array, width: int, height: int
+    means2d: Array, splats: Array, bounds: Array, radii: Array, image: tuple[int, int], near: float | None
 ) -> TileLists:
     """Return the drawing order of one view; its records have the columns named above.
 
@@ -172,9 +184,12 @@ def build_tile_lists_2d(
     means2d, splats, bounds, radii:
         (N, 2), (N, SPLAT), (N, 4) float32 and (N, 1) int32: the box is lowest x and y, highest x and y, in pixels
         from the projected centre.
-    width, height:
-        Image size in pixels.
+    image:
+        Width and height in pixels.
+    near:
+        Least depth at which a disk is met; None in affine views, where there is none.
     """
+    width, height = image
     columns, rows = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     size = width, height, columns, rows
     order = depth_order(splats[:, DEPTH], radii[:, 0])
@@ -182,7 +197,7 @@ def build_tile_lists_2d(
     records = np.empty((len(order), RECORD), dtype=np.float32)
     first_slots = np.zeros(len(order) + 1, dtype=np.int32)
     cursors = np.zeros((runs, rows * columns), dtype=np.int32)
-    _count(order, (means2d, splats, bounds), records, first_slots, cursors, size)
+    _count(order, (means2d, splats, bounds), records, first_slots, cursors, size, near)
     starts = np.zeros(rows * columns + 1, dtype=np.int64)
     accumulate_counts(cursors, starts, first_slots)
     entries = np.empty((starts[-1], 2), dtype=np.int32)

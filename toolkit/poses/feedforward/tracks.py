@@ -1,0 +1,190 @@
+"""Tracks of features through pictures, and points for them: from predicted depth, or where their rays meet."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from toolkit.matching.database import require_same_frames, settle
+from toolkit.matching.pair_rotations import read_verified_pairs
+from toolkit.poses.feedforward.prediction import Prediction
+from toolkit.progress import Progress, silent
+from toolkit.scene import Scene, Tracks
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def verified_tracks(database_path: Path, scene: Scene, *, progress: Progress = silent) -> tuple[Tracks, int]:
+    """Return the tracks that the verified matches of a database chain up, and their number.
+
+    A chain with two features in one picture is wrong somewhere and left out.
+
+    Raises
+    ------
+    DataError
+        For a database that is missing, damaged or of another scene.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    require_same_frames(database_path, scene)
+    verified = read_verified_pairs(database_path, progress)
+    with closing(pycolmap.Database.open(database_path)) as database:
+        pixels = [_pixels(database, number) for number in range(1, len(scene) + 1)]
+    settle(database_path)
+    starts = np.concatenate([[0], np.cumsum([len(places) for places in pixels])])
+    links = [
+        matches + starts[list(pair)]
+        for pair, matches in zip(verified.index.tolist(), verified.matches, strict=True)
+    ]
+    ends = np.concatenate(links) if links else np.zeros((0, 2), dtype=np.int64)
+    nodes = int(starts[-1])
+    graph = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(nodes, nodes))
+    _, chain = connected_components(graph, directed=False)
+    frame = np.repeat(np.arange(len(scene)), [len(places) for places in pixels])
+    linked = np.zeros(nodes, dtype=bool)
+    linked[ends.ravel()] = True
+    chain, frame, where = chain[linked].astype(np.int64), frame[linked], np.concatenate(pixels)[linked]
+    _, which, times = np.unique(chain * len(scene) + frame, return_inverse=True, return_counts=True)
+    twice = np.unique(chain[times[which] > 1])
+    sound = ~np.isin(chain, twice)
+    left, number = np.unique(chain[sound], return_inverse=True)
+    return Tracks(number.astype(np.int64), frame[sound].astype(np.int64), where[sound]), len(left)
+
+
+def _pixels(database: pycolmap.Database, image_id: int) -> Array:
+    """Return where the keypoints (K, 2) of an image are."""
+    if not database.exists_keypoints(image_id):
+        return np.empty((0, 2))
+    keypoints = np.asarray(database.read_keypoints(image_id), dtype=np.float64)
+    return keypoints[:, :2] if keypoints.size else np.empty((0, 2))
+
+
+def residuals(scene: Scene, tracks: Tracks, xyz: Array) -> Array:
+    """Return the distances (T,) in pixels of observations from the images of their points (P, 3).
+
+    Infinity where the point has no image, or the frame no pose.
+    """
+    off = np.full(len(tracks.point), np.inf)
+    for index in np.unique(tracks.frame).tolist():
+        frame = scene.frames[index]
+        if frame.cam_from_world is None:
+            continue
+        rows = np.flatnonzero(tracks.frame == index)
+        in_camera = frame.cam_from_world.apply(xyz[tracks.point[rows]])
+        miss = scene.camera_of(frame).project(in_camera) - tracks.pixel[rows]
+        off[rows] = np.nan_to_num(np.linalg.norm(miss, axis=1), nan=np.inf)
+    return off
+
+
+def meeting_points(scene: Scene, tracks: Tracks, count: int) -> Array:
+    """Return the points (P, 3) with the least squared distances from the rays of their observations.
+
+    NaN where fewer than two rays, or parallel ones, leave the point open.
+    """
+    normal, target = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for index in np.unique(tracks.frame).tolist():
+        frame = scene.frames[index]
+        if frame.cam_from_world is None:
+            continue
+        rows = np.flatnonzero(tracks.frame == index)
+        origins, directions = scene.camera_of(frame).ray(tracks.pixel[rows])
+        world_from_cam = frame.cam_from_world.inverse()
+        origins, directions = world_from_cam.apply(origins), directions @ world_from_cam.rotation.T
+        across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+        np.add.at(normal, tracks.point[rows], across)
+        np.add.at(target, tracks.point[rows], np.einsum("nij,nj->ni", across, origins))
+    points = np.full((count, 3), np.nan)
+    # One ray leaves the normal equations without rank along itself, and so do parallel ones.
+    open_ = np.linalg.eigvalsh(normal)[:, 0] <= 1e-9
+    points[~open_] = np.linalg.solve(normal[~open_], target[~open_][..., None])[..., 0]
+    return points
+
+
+def points_from_depth(
+    scene: Scene, prediction: Prediction, tracks: Tracks, count: int, scales: NDArray[np.float64]
+) -> Array:
+    """Return points (P, 3) of tracks where predicted depth puts them: the median over their observations.
+
+    Parameters
+    ----------
+    scene:
+        With cameras and poses; its frames by name are the prediction's.
+    prediction:
+        Whose depth is taken.
+    tracks, count:
+        Observations in frames of the scene, and the number of points.
+    scales:
+        (F,) what the depth of each picture of the prediction is multiplied with.
+
+    Returns
+    -------
+    NaN where no observation has a depth.
+    """
+    place = np.full((len(tracks.point), 3), np.nan)
+    for row, (index, pixels) in _by_picture(scene, prediction, tracks):
+        frame = scene.frames[int(tracks.frame[row[0]])]
+        if frame.cam_from_world is None:
+            continue
+        depth = prediction.depth_at(index, pixels) * scales[index]
+        origins, directions = scene.camera_of(frame).ray(pixels)
+        in_camera = origins + directions * (depth / directions[:, 2])[:, None]
+        place[row] = frame.cam_from_world.inverse().apply(in_camera)
+    known = np.isfinite(place).all(axis=1)
+    points = np.full((count, 3), np.nan)
+    for axis in range(3):
+        points[:, axis] = _medians(tracks.point[known], place[known, axis], count)
+    return points
+
+
+def depth_ratios(scene: Scene, prediction: Prediction, tracks: Tracks, xyz: Array) -> list[tuple[Array, Array]]:
+    """Return for each picture of a prediction where (N, 2), in pixels of its map, it sees points (P, 3), and their
+    depth there as part (N,) of the predicted one. Observations without depth, or behind the camera, are left out.
+    """
+    found = [(np.zeros((0, 2)), np.zeros(0)) for _ in range(len(prediction))]
+    for row, (index, pixels) in _by_picture(scene, prediction, tracks):
+        frame = scene.frames[int(tracks.frame[row[0]])]
+        if frame.cam_from_world is None:
+            continue
+        ratio = frame.cam_from_world.apply(xyz[tracks.point[row]])[:, 2] / prediction.depth_at(index, pixels)
+        kept = np.isfinite(ratio) & (ratio > 0)
+        found[index] = prediction.to_map(index, pixels[kept]), ratio[kept]
+    return found
+
+
+def depth_scales(scene: Scene, prediction: Prediction, tracks: Tracks, xyz: Array) -> Array:
+    """Return by which factor (F,) the depth of each picture is to be multiplied to fit points (P, 3).
+
+    The median over the observations of the picture; NaN where it has none.
+    """
+    ratios = depth_ratios(scene, prediction, tracks, xyz)
+    return np.array([float(np.median(ratio)) if len(ratio) else np.nan for _, ratio in ratios])
+
+
+def _by_picture(scene: Scene, prediction: Prediction, tracks: Tracks) -> list[tuple[Index, tuple[int, Array]]]:
+    """Return for each picture of the prediction the rows of its observations, its place and their pixels."""
+    number = {frame.name: i for i, frame in enumerate(scene.frames)}
+    found = []
+    for index, name in enumerate(prediction.names):
+        rows = np.flatnonzero(tracks.frame == number.get(name, -1))
+        if len(rows):
+            found.append((rows, (index, tracks.pixel[rows])))
+    return found
+
+
+def _medians(group: Index, values: Array, count: int) -> Array:
+    """Return the median of the values of each of ``count`` groups, NaN for empty ones."""
+    order = np.lexsort([values, group])
+    ends = np.searchsorted(group[order], np.arange(count + 1))
+    length = np.diff(ends)
+    made = np.full(count, np.nan)
+    some = length > 0
+    ordered = values[order]
+    low, high = ends[:-1][some] + (length[some] - 1) // 2, ends[:-1][some] + length[some] // 2
+    made[some] = (ordered[low] + ordered[high]) / 2
+    return made
