@@ -67,7 +67,7 @@ viewer-if-npm:
 test: $(VENV)/.dev viewer-if-npm  ## Run the tests.
 	$(BIN)/python -m pytest
 
-bench: $(VENV)/.dev  ## Measure (four hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
+bench: $(VENV)/.dev  ## Measure (six hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
 	$(BIN)/python tests/benchmarks/performance.py
 	$(BIN)/python tests/benchmarks/quality.py schedule --work runs/quality
 	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
@@ -78,6 +78,11 @@ bench: $(VENV)/.dev  ## Measure (four hours): rasterizer, training, poses, SLAM,
 	$(BIN)/python tests/benchmarks/circle_budget.py
 	$(BIN)/python tests/benchmarks/temple_ring.py
 	$(BIN)/python tests/benchmarks/stereo.py
+	$(BIN)/python tests/benchmarks/surface_methods.py --work runs/bench-surfaces
+	$(BIN)/python tests/benchmarks/view_selection.py
+	$(BIN)/python tests/benchmarks/rpc_cameras.py
+	$(BIN)/python tests/benchmarks/satellite.py --work runs/bench-satellite
+	$(BIN)/python tests/benchmarks/feedforward_ba.py
 	$(BIN)/python tests/benchmarks/dashboard.py
 	$(BIN)/python tests/benchmarks/sweep.py
 

@@ -125,7 +125,7 @@ def splat_depth(run: RunFolder, work: Path) -> Path:
         path = made / f"{view.name}.npy"
         path.parent.mkdir(parents=True, exist_ok=True)
         np.save(path, view.depth)
-    shutil.rmtree(part)
+    shutil.rmtree(part, ignore_errors=True)  # not there where no picture had distortion
     return made.rename(folder)
 
 
