@@ -17,6 +17,7 @@ from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.scene.capture_folders import find_captures
+from toolkit.scene.capture_summary import summary_warnings
 from toolkit.scene.colmap import write_colmap
 from toolkit.scene.dataset import capture_fingerprint, open_capture
 from toolkit.scene.folder import read_scene, write_scene
@@ -31,6 +32,8 @@ from toolkit.scene.satellite import (
     sun_direction,
 )
 from toolkit.scene.scene import Frame, Points, Scene
+from toolkit.scene.survey import photo_facts
+from toolkit.scene.thumbnails import Thumbnails
 
 rasterio = pytest.importorskip("rasterio", reason="rasterio is not installed: pip install 'sightline-toolkit[geo]'")
 rasterio_shutil = pytest.importorskip("rasterio.shutil")
@@ -436,3 +439,13 @@ def test_two_real_pictures_of_different_places_are_an_error(real_data: Path) -> 
         DataError, match=r"do not overlap on the ground; .*wv3_20\.NTF at -34\.5043, -58\.6024, wv3_30"
     ):
         open_satellite(real_data / "sat_rpc_shareloc" / "rpc")
+
+
+def test_the_summary_of_a_satellite_folder_asks_for_no_gps(tmp_path: Path) -> None:
+    capture = open_capture(triplet(tmp_path / "views"))
+    facts = [photo_facts(frame.name, capture.scene.image_path(frame)) for frame in capture.scene.frames]
+    assert all(fact.damage == "" and fact.width > 0 for fact in facts)
+    assert not any("GPS" in text for text in summary_warnings(capture, facts))
+    small = Thumbnails(tmp_path / "small").of(capture.scene.image_path(capture.scene.frames[0]), 16)
+    # 16-bit numbers use the whole range of greys.
+    assert 0.2 < small.brightness < 0.8

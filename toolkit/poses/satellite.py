@@ -27,7 +27,6 @@ from toolkit.geometry.rpc_settings import RpcRefinementSettings
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Points, Scene
 from toolkit.scene.pictures import load_picture
-from toolkit.scene.raster import read_raster, stretched
 from toolkit.scene.scene import Tracks
 
 Array = NDArray[np.float64]
@@ -95,8 +94,7 @@ def pictures_to_match(scene: Scene, folder: Path, *, progress: Progress = silent
     cameras, frames = {}, []
     for number, frame in enumerate(track(scene.frames, "satellite.pictures", progress), start=1):
         path = scene.image_path(frame)
-        raster = path.suffix.lower() in (".tif", ".tiff", ".ntf", ".nitf")
-        picture = stretched(read_raster(path)) if raster else load_picture(path)
+        picture = load_picture(path)
         name = f"{Path(frame.name).with_suffix('')}.png"
         with atomic_path(folder / name) as temporary:
             Image.fromarray(picture).save(temporary, format="PNG")

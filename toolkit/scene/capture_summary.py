@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.scene.dataset import Capture
 from toolkit.scene.flight_facts import median_overlap, median_speed
 from toolkit.scene.photo_quality import blurred, exposure_jumps
@@ -189,6 +190,8 @@ def _sensor_warnings(scene: Scene) -> list[str]:
     """Return what is missing of GPS; where only some photos lack it, opening photos has told."""
     positions = [f.prior.position for f in scene.frames if f.prior is not None and f.prior.position is not None]
     if not positions:
+        if any(isinstance(scene.camera_of(frame), RpcCamera) for frame in scene.frames):
+            return []  # RPCs tell where the ground is
         return [
             "no photo has a GPS position: methods that need sensors cannot run, and scale and north are unknown"
         ]

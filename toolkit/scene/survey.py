@@ -15,7 +15,7 @@ from toolkit.errors import DataError
 from toolkit.progress import Progress, silent, track
 from toolkit.scene.exif import PhotoTags, read_tags
 from toolkit.scene.photo_quality import MEASURED_SIDE
-from toolkit.scene.pictures import open_picture
+from toolkit.scene.pictures import open_picture, picture_size, through_gdal
 from toolkit.scene.scene import Scene
 from toolkit.scene.thumbnails import Thumbnail, Thumbnails
 
@@ -59,6 +59,9 @@ def read_facts(scene: Scene, *, progress: Progress = silent) -> tuple[PhotoFacts
 def photo_facts(name: str, path: Path) -> PhotoFacts:
     """Return what is known of one photo."""
     try:
+        if through_gdal(path):
+            width, height = picture_size(path)
+            return PhotoFacts(name, width, height)
         with open_picture(path) as picture:
             return PhotoFacts(name, picture.width, picture.height, read_tags(picture), _focal_mm(picture))
     except DataError as error:
