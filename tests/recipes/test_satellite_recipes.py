@@ -12,6 +12,7 @@ from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.poses.satellite import ground_box, require_rpc_cameras, with_affine_cameras
 from toolkit.progress import silent
+from toolkit.recipes import sat_splat
 from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult
 from toolkit.recipes.sat_heights import SatHeightsSettings, run
 from toolkit.recipes.satellite_measure import DIFFERENCE_FILE, DSM_FILE, true_surface_model
@@ -70,6 +71,20 @@ def test_the_surface_model_is_near_the_true_one(made: RecipeResult, place: Path)
     assert np.nanmean(np.abs(off.heights)) == pytest.approx(made.metrics["dsm.mae"], rel=1e-3)
     assert made.reports["dsm"]["truth"] == "dsm.tif"
     assert made.metrics["affine.rms_px"] < 0.05
+
+
+def test_a_splat_of_the_city_has_its_heights(city: CitySample, place: Path, made: RecipeResult) -> None:
+    capture = open_capture(city.folder)
+    few = {"heights.search.levels": 3, "heights.search.iterations": 2, "train.steps": 60, "max_points": 4000}
+    settings = sat_splat.SatSplatSettings().replace(few)
+    result = sat_splat.run(RecipeInput(capture.scene, capture.reference, "city"), settings, context(place))
+    assert all(time.reused for time in result.times if time.name in ("features", "matches", "refine", "heights"))
+    # Held-out pictures of other suns, after some steps: more than a grey picture, which has 13 dB.
+    assert result.metrics["test.psnr"] > 15.0
+    assert len(result.test_views) == 1
+    assert result.metrics["dsm.median_absolute"] < 0.7
+    assert result.metrics["sfm.registered"] == 7
+    assert result.gaussians is not None
 
 
 def test_affine_cameras_are_where_rpcs_are(city: CitySample) -> None:

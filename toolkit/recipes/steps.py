@@ -135,13 +135,32 @@ def train_and_measure(
     lpips:
         Made before anything else, so that a damaged weights file is told before minutes are spent.
     """
+    flat = undistorted(posed.stages[-1], context)
+    scene, flat_scene = (read_scene(stage.folder / SCENE) for stage in (posed.stages[-1], flat))
+    stages = PosedStages((*posed.stages, flat), posed.metrics)
+    return train_flat(data, stages, scene, flat_scene, settings, context, lpips)
+
+
+def train_flat(
+    data: RecipeInput,
+    posed: PosedStages,
+    scene: Scene,
+    flat_scene: Scene,
+    settings: TrainSettings,
+    context: RecipeContext,
+    lpips: Lpips,
+) -> RecipeResult:
+    """Train a splat on photos that need no undistortion, and measure: the second half of :func:`train_and_measure`.
+
+    Parameters
+    ----------
+    scene, flat_scene:
+        With its own cameras, and with pinhole or affine ones; the same where its own are such.
+    """
     # Imported only now: whoever reads settings does without PyTorch.
     from toolkit.splat.evaluate import render_test_views
     from toolkit.splat.train import train_splats
 
-    scene = read_scene(posed.stages[-1].folder / SCENE)
-    flat = undistorted(posed.stages[-1], context)
-    flat_scene = read_scene(flat.folder / SCENE)
     trained = train_splats(
         flat_scene,
         settings,
@@ -171,11 +190,10 @@ def train_and_measure(
     refined_metrics, refined_report = measure_refined_test_renders(
         trained.gaussians, flat_scene, settings, lpips, context
     )
-    stages = (*posed.stages, flat)
     return RecipeResult(
         scene=judged.scene,
         gaussians=trained.gaussians,
-        times=(*(s.time for s in stages), *training, StageTime("measure", time.perf_counter() - start)),
+        times=(*(s.time for s in posed.stages), *training, StageTime("measure", time.perf_counter() - start)),
         metrics={
             **image_metrics,
             **refined_metrics,
@@ -184,7 +202,7 @@ def train_and_measure(
             "splat.gaussians": float(len(trained.gaussians)),
         },
         reports={
-            **{stage.time.name: stage.report for stage in stages},
+            **{stage.time.name: stage.report for stage in posed.stages},
             "train": trained.to_dict(),
             "images": image_report,
             **refined_report,
