@@ -157,7 +157,7 @@ def match_heights(
     rounds = sum(_rounds(search, level, levels) for level in levels)
     step = _Steps(progress, rounds + again * (bool(search.hidden_views) + bool(search.fine_radius)))
     planes: Array | None = None
-    layer = None
+    layer: _Layer | None = None
     for level in reversed(levels):
         before, layer = layer, _Layer.of(views, grid, level, search)
         if planes is None or before is None:

@@ -161,7 +161,7 @@ def heights_stage(found: SatelliteStages, settings: HeightSettings, context: Rec
     def heights_into(folder: Path) -> dict[str, Any]:
         scene = read_scene(found.local.folder / SCENE)
         views = [
-            GroundView(load_grey(scene.image_path(frame)).astype(np.float32) / 255, camera, frame.cam_from_world)
+            GroundView((load_grey(scene.image_path(frame)) / 255).astype(np.float32), camera, frame.cam_from_world)
             for frame in scene.of_split("train")
             if isinstance(camera := scene.camera_of(frame), AffineCamera) and frame.cam_from_world is not None
         ]

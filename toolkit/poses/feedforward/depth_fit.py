@@ -138,7 +138,7 @@ def _robust_grid(here: Array, values: Array, size: tuple[int, int], stiffness: f
     nodes: Array = np.zeros(here.shape[1])
     for _ in range(_ROUNDS):
         weighted = here * weight[:, None]
-        nodes = np.linalg.solve(here.T @ weighted + smooth, weighted.T @ values)
+        nodes = np.asarray(np.linalg.solve(here.T @ weighted + smooth, weighted.T @ values), dtype=np.float64)
         off = values - here @ nodes
         sigma = max(1.4826 * float(np.median(np.abs(off))), 1e-6)
         weight = 1 / (1 + (off / (_LOSS * sigma)) ** 2)
