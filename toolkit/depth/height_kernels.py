@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numba import prange
 
+from toolkit.depth.checkerboard import neighbour_on_board
 from toolkit.geometry.compiled import kernel, parallel_kernel
 from toolkit.geometry.hashed_random import begin, draw
 from toolkit.geometry.simd import LANES, bits, fma, splat, total
@@ -26,7 +27,6 @@ WORST: Final = 2.0
 #: Variance of brightness (0 to 1) below which there is nothing to compare.
 LEAST_VARIANCE: Final = 1e-7
 _ALL: Final = np.uint32(2**LANES - 1)
-_FARTHER: Final = (3, 5, 7, 9, 11)
 _ONE: Final = np.uint64(1)
 _TRIALS: Final = 13
 
@@ -228,7 +228,8 @@ def search_patches(
             for trial in range(8 if still else _TRIALS):
                 a, b, c = h, p, q
                 if trial < 8:
-                    k, m = _other(cost, i, j, trial)
+                    down, right = (1, -1, 0, 0)[trial & 3], (0, 0, 1, -1)[trial & 3]
+                    k, m = neighbour_on_board(cost, i, j, down, right, trial >= 4)
                     if k < 0:
                         continue
                     b, c = float(planes[k, m, 1]), float(planes[k, m, 2])
@@ -248,24 +249,6 @@ def search_patches(
                     least, h, p, q = found, a, b, c
             planes[i, j, 0], planes[i, j, 1], planes[i, j, 2] = h, p, q
             cost[i, j] = least
-
-
-@kernel
-def _other(cost: Array, i: int, j: int, trial: int) -> Any:
-    """Return the cell beside this one in a direction, or the best of the farther ones; (-1, -1) outside."""
-    rows, columns = cost.shape
-    down = (1, -1, 0, 0)[trial & 3]
-    right = (0, 0, 1, -1)[trial & 3]
-    if trial < 4:
-        k, m = i + down, j + right
-        return (k, m) if 0 <= k < rows and 0 <= m < columns else (-1, -1)
-    found = (-1, -1)
-    least = np.inf
-    for away in _FARTHER:
-        k, m = i + down * away, j + right * away
-        if 0 <= k < rows and 0 <= m < columns and cost[k, m] < least:
-            least, found = cost[k, m], (k, m)
-    return found
 
 
 @parallel_kernel

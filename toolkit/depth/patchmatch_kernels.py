@@ -8,19 +8,17 @@ of seed, round and pixel: threads change nothing.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numba import prange
 
+from toolkit.depth.checkerboard import neighbour_on_board
 from toolkit.depth.patchmatch_cost import LEAST_FACING, plane_cost, window_grid, window_of
 from toolkit.geometry.compiled import inlined_kernel, kernel, parallel_kernel
 from toolkit.geometry.hashed_random import begin, draw
 
 Array = np.ndarray[Any, Any]
-
-# How far away the farther pixels are: odd, so that they are of the other colour.
-_FARTHER: Final = (3, 5, 7, 9, 11)
 
 
 @inlined_kernel
@@ -138,22 +136,6 @@ def cost_planes(
             )
 
 
-@kernel
-def _neighbour(cost: Array, row: int, column: int, down: int, right: int, farther: bool) -> Any:
-    """Return the pixel beside this one in a direction, or the best of the farther ones; (-1, -1) outside."""
-    height, width = cost.shape
-    if not farther:
-        i, j = row + down, column + right
-        return (i, j) if 0 <= i < height and 0 <= j < width else (-1, -1)
-    found = (-1, -1)
-    least = np.inf
-    for away in _FARTHER:
-        i, j = row + down * away, column + right * away
-        if 0 <= i < height and 0 <= j < width and cost[i, j] < least:
-            least, found = cost[i, j], (i, j)
-    return found
-
-
 @parallel_kernel
 def search_colour(
     odd: int,
@@ -199,7 +181,7 @@ def search_colour(
                 if trial < 8:
                     down = (1, -1, 0, 0)[trial & 3]
                     right = (0, 0, 1, -1)[trial & 3]
-                    i, j = _neighbour(cost, row, column, down, right, trial >= 4)
+                    i, j = neighbour_on_board(cost, row, column, down, right, trial >= 4)
                     if i < 0:
                         continue
                     a, b, c = float(normal[i, j, 0]), float(normal[i, j, 1]), float(normal[i, j, 2])

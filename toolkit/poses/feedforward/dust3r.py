@@ -31,6 +31,21 @@ DEFAULT_WEIGHTS = "naver/DUSt3R_ViTLarge_BaseDecoder_512_dpt"
 PIXEL_CENTRE = 0.5
 
 
+def read_model(kind: Any, name: str, weights: str, default: str, download: bool, device: str) -> Any:
+    """Return a network of one of the authors' classes with its weights, ready to be asked.
+
+    Raises
+    ------
+    WeightsMissingError, CapabilityError, DataError
+        As :class:`Dust3rNetwork`.
+    """
+    path = find_weights(weights, default, download=download, files=("model.safetensors",))
+    folder = require_safetensors(path, name)
+    model = loaded(lambda: kind.from_pretrained(str(folder)), folder)
+    check_complete(model, folder)
+    return model.to(device).eval()
+
+
 class Dust3rNetwork:
     """DUSt3R with global alignment.
 
@@ -71,11 +86,9 @@ class Dust3rNetwork:
         self._device, self._pairs = checked_device(device), pairs
         self._steps, self._rate = steps, rate
         self._weights = weights or DEFAULT_WEIGHTS
-        path = find_weights(weights, DEFAULT_WEIGHTS, download=download, files=("model.safetensors",))
-        folder = require_safetensors(path, "DUSt3R")
-        model = loaded(lambda: module.AsymmetricCroCo3DStereo.from_pretrained(str(folder)), folder)
-        check_complete(model, folder)
-        self._model = model.to(self._device).eval()
+        self._model = read_model(
+            module.AsymmetricCroCo3DStereo, "DUSt3R", weights, DEFAULT_WEIGHTS, download, self._device
+        )
 
     @property
     def name(self) -> str:

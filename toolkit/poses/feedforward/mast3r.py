@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from toolkit.poses.feedforward.dust3r import PIXEL_CENTRE, prepare
+from toolkit.poses.feedforward.dust3r import PIXEL_CENTRE, prepare, read_model
 from toolkit.poses.feedforward.map_plan import Picture
 from toolkit.poses.feedforward.network import (
     assemble,
@@ -22,7 +22,6 @@ from toolkit.poses.feedforward.network import (
     to_array,
 )
 from toolkit.poses.feedforward.prediction import Prediction
-from toolkit.poses.feedforward.weights import check_complete, find_weights, loaded, require_safetensors
 
 DEFAULT_WEIGHTS = "naver/MASt3R_ViTLarge_BaseDecoder_512_catmlpdpt_metric"
 
@@ -61,11 +60,9 @@ class Mast3rNetwork:
         self._device, self._pairs = checked_device(device), pairs
         self._steps, self._rate = steps, rate
         self._weights = weights or DEFAULT_WEIGHTS
-        path = find_weights(weights, DEFAULT_WEIGHTS, download=download, files=("model.safetensors",))
-        folder = require_safetensors(path, "MASt3R")
-        model = loaded(lambda: module.AsymmetricMASt3R.from_pretrained(str(folder)), folder)
-        check_complete(model, folder)
-        self._model = model.to(self._device).eval()
+        self._model = read_model(
+            module.AsymmetricMASt3R, "MASt3R", weights, DEFAULT_WEIGHTS, download, self._device
+        )
 
     @property
     def name(self) -> str:

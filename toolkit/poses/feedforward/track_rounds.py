@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from toolkit.errors import StageError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.matching.feature_choice import FeatureSettings
+from toolkit.matching.match_tracks import match_tracks
 from toolkit.matching.pairs import PairSettings
 from toolkit.poses.adjust import AdjustmentReport, adjust, focal_sigma, residual_noise
 from toolkit.poses.feedforward.depth_fit import DepthFitSettings
 from toolkit.poses.feedforward.prediction import Prediction
-from toolkit.poses.feedforward.tracks import depth_scales, points_from_depth, residuals, verified_tracks
+from toolkit.poses.feedforward.tracks import depth_scales, points_from_depth, residuals
 from toolkit.poses.thin import thin_points
 from toolkit.poses.triangulation import triangulate, triangulation_options
 from toolkit.progress import Progress, ProgressEvent
@@ -94,7 +95,8 @@ class TrackRounds:
         self._xyz: Array | None = None
         self._rows = np.zeros(0, dtype=np.int64)
         if settings.points == "depth":
-            self._tracks, self._count = verified_tracks(database, start, progress=progress)
+            self._tracks = match_tracks(database, start)
+            self._count = int(self._tracks.point.max()) + 1
 
     def run(self) -> Scene:
         """Return the adjusted scene."""

@@ -2,67 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import closing
-from pathlib import Path
-
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
 
-from toolkit.matching.database import require_same_frames, settle
-from toolkit.matching.pair_rotations import read_verified_pairs
 from toolkit.poses.feedforward.prediction import Prediction
-from toolkit.progress import Progress, silent
 from toolkit.scene import Scene, Tracks
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-
-def verified_tracks(database_path: Path, scene: Scene, *, progress: Progress = silent) -> tuple[Tracks, int]:
-    """Return the tracks that the verified matches of a database chain up, and their number.
-
-    A chain with two features in one picture is wrong somewhere and left out.
-
-    Raises
-    ------
-    DataError
-        For a database that is missing, damaged or of another scene.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    require_same_frames(database_path, scene)
-    verified = read_verified_pairs(database_path, progress)
-    with closing(pycolmap.Database.open(database_path)) as database:
-        pixels = [_pixels(database, number) for number in range(1, len(scene) + 1)]
-    settle(database_path)
-    starts = np.concatenate([[0], np.cumsum([len(places) for places in pixels])])
-    links = [
-        matches + starts[list(pair)]
-        for pair, matches in zip(verified.index.tolist(), verified.matches, strict=True)
-    ]
-    ends = np.concatenate(links) if links else np.zeros((0, 2), dtype=np.int64)
-    nodes = int(starts[-1])
-    graph = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(nodes, nodes))
-    _, chain = connected_components(graph, directed=False)
-    frame = np.repeat(np.arange(len(scene)), [len(places) for places in pixels])
-    linked = np.zeros(nodes, dtype=bool)
-    linked[ends.ravel()] = True
-    chain, frame, where = chain[linked].astype(np.int64), frame[linked], np.concatenate(pixels)[linked]
-    _, which, times = np.unique(chain * len(scene) + frame, return_inverse=True, return_counts=True)
-    twice = np.unique(chain[times[which] > 1])
-    sound = ~np.isin(chain, twice)
-    left, number = np.unique(chain[sound], return_inverse=True)
-    return Tracks(number.astype(np.int64), frame[sound].astype(np.int64), where[sound]), len(left)
-
-
-def _pixels(database: pycolmap.Database, image_id: int) -> Array:
-    """Return where the keypoints (K, 2) of an image are."""
-    if not database.exists_keypoints(image_id):
-        return np.empty((0, 2))
-    keypoints = np.asarray(database.read_keypoints(image_id), dtype=np.float64)
-    return keypoints[:, :2] if keypoints.size else np.empty((0, 2))
 
 
 def residuals(scene: Scene, tracks: Tracks, xyz: Array) -> Array:
