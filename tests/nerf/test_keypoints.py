@@ -33,18 +33,6 @@ def test_rays_end_at_the_points_and_only_training_frames_count(plane: Scene) -> 
     torch.testing.assert_close(finer.sigmas, rays.sigmas / 2)
 
 
-def test_by_certainty_points_seen_often_are_narrow_and_doubtful_ones_weigh_little(plane: Scene) -> None:
-    plain, certain = keypoint_rays(plane, 1.0), keypoint_rays(plane, 1.0, by_certainty=True)
-    often = torch.from_numpy(np.bincount(kept_points(plane))[kept_points(plane)])
-    torch.testing.assert_close(certain.sigmas, plain.sigmas * torch.sqrt(2 / often).float())
-    doubtful = certain.sigmas > certain.sigmas.median()
-    expected = (
-        plain.weights * torch.where(doubtful, certain.sigmas.median() / certain.sigmas, torch.tensor(1.0)) ** 2
-    )
-    # The median of an even number of rays is that of numpy, between two of them.
-    torch.testing.assert_close(certain.weights, expected, rtol=0.05, atol=0)
-
-
 def test_a_point_with_a_large_reprojection_error_weighs_less_and_spreads_wider(plane: Scene) -> None:
     points = plane.points
     assert points is not None

@@ -69,7 +69,7 @@ class KeypointRays:
         return hashlib.sha256(b"".join(part.numpy().tobytes() for part in parts)).hexdigest()[:16]
 
 
-def keypoint_rays(scene: Scene, least_error: float, *, by_certainty: bool = False) -> KeypointRays:
+def keypoint_rays(scene: Scene, least_error: float) -> KeypointRays:
     """Return the rays of all observations of points in training frames with a pose.
 
     A point's error e is the mean of its reprojection errors in these frames. Its weight is exp(-(e / mean e)^2) as
@@ -83,9 +83,6 @@ def keypoint_rays(scene: Scene, least_error: float, *, by_certainty: bool = Fals
         With poses, points and tracks; cameras of COLMAP's models.
     least_error:
         In pixels.
-    by_certainty:
-        The standard deviation of a point that n frames saw is sqrt(n / 2) times smaller, and where it is above the
-        median its weight falls with its square, as the weight of a measurement does. The paper has neither.
 
     Raises
     ------
@@ -132,9 +129,6 @@ def keypoint_rays(scene: Scene, least_error: float, *, by_certainty: bool = Fals
     # A point that reprojects exactly has no error to compare with.
     weights = np.exp(-((error / max(error.mean(), 1e-9)) ** 2).clip(max=_WORST_ERROR**2))
     spread = distances[good] * np.maximum(error, least_error) / (focal[good] * np.sin(angles))
-    if by_certainty:
-        spread /= np.sqrt(count[point[good]] / 2)
-        weights *= np.minimum(1, np.median(spread) / spread) ** 2
 
     def tensor(values: Array) -> Tensor:
         return torch.tensor(values, dtype=torch.float32)

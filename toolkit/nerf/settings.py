@@ -91,10 +91,6 @@ class NerfSettings(Settings):
         doc="Every point's Gaussian has the integral one; no: equation 8 of DS-NeRF as it stands, in which "
         "uncertain points weigh more.",
     )
-    depth_certainty = Boolean(
-        True,
-        doc="Points that many frames saw, under large angles, count more than those whose depth is hardly known.",
-    )
     warm_start = Text("", doc="Weights to start from: field.safetensors of another run, or its folder.")
     eval_every = Integer(500, bounds=(1, 10_000_000), unit="steps", doc="Measure one test photo so often.")
     checkpoint_every = Integer(500, bounds=(1, 10_000_000), unit="steps", doc="Write a checkpoint so often.")
@@ -137,7 +133,6 @@ _DS_NERF: dict[str, Any] = {
     "fine_samples": 0,
     "depth_rays": 1024,
     "depth_normalised": False,
-    "depth_certainty": False,
     "steps": 50_000,
     "steps_count": "per-40-frames",
     "lr_factor": 0.1 ** (1 / 250),

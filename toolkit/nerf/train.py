@@ -120,9 +120,7 @@ def train_nerf(
     """
     _check(settings, device)
     space = space_of(scene, margin=settings.margin, contracted=settings.space == "contracted")
-    keypoints = None
-    if settings.depth_weight > 0:
-        keypoints = keypoint_rays(scene, settings.depth_sigma, by_certainty=settings.depth_certainty)
+    keypoints = keypoint_rays(scene, settings.depth_sigma) if settings.depth_weight > 0 else None
     photos = load_photos(scene, scene.of_split("train"), settings.max_side, progress=progress)
     tests = scene.of_split("test")
     test_photo = load_photo(scene, tests[0], settings.max_side) if tests else None
