@@ -133,7 +133,7 @@ def test_tables_of_radiance_fields_are_made_of_segments_of_a_film(
     command = ["table", "blades-nerf", "--data", str(film.folder), "--stride", "8", *places]
     assert main([*command, "--rows", "nerf-40", "nerf-80", "ds-nerf-40"]) == 0
     said = capsys.readouterr().out
-    assert "every 8th frame of them taken" in said
+    assert "one frame in 8 of it" in said
     # Half a blade, 19 frames, holds two of every eighth.
     assert "from each picture and the 2 that follow it" in said
     lines = [line for line in said.splitlines() if line.startswith("| ")]
