@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from toolkit.depth.height_cost import slow_patch_cost
+from toolkit.depth.height_fill import fill_low
 from toolkit.depth.height_kernels import cost_patches, ground_window, hide_views
-from toolkit.depth.height_map import GroundView, HeightMap, _Layer, fill_low, match_heights
+from toolkit.depth.height_map import GroundView, HeightMap, _Layer, match_heights
 from toolkit.depth.height_settings import HeightSearchSettings, HeightSettings
 from toolkit.errors import DataError, StageError
 from toolkit.geometry.affine_camera import AffineCamera

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from toolkit.depth.height_fill import fill_low, smoothed, trusted_heights
 from toolkit.depth.height_kernels import (
     WORST,
     cost_patches,
@@ -25,7 +26,7 @@ from toolkit.depth.height_kernels import (
     random_patches,
     search_patches,
 )
-from toolkit.depth.height_settings import HeightFillSettings, HeightSearchSettings, HeightSettings
+from toolkit.depth.height_settings import HeightSearchSettings, HeightSettings
 from toolkit.errors import DataError, StageError
 from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.compiled import launching
@@ -184,10 +185,10 @@ def match_heights(
         )
     heights = planes[..., 0].astype(np.float32)
     confidence = np.clip(1 - cost, 0, 1).astype(np.float32)
-    kept = _kept(heights, confidence, settings.keep)
+    kept = trusted_heights(heights, confidence, settings.keep)
     filled = np.isnan(kept) if settings.keep.fill == "low" else np.zeros(kept.shape, bool)
     whole = fill_low(kept) if settings.keep.fill == "low" else kept
-    return HeightMap(grid, _smoothed(whole, settings.keep.median), confidence, filled, len(views))
+    return HeightMap(grid, smoothed(whole, settings.keep.median), confidence, filled, len(views))
 
 
 def _check(views: Sequence[GroundView], height_range: tuple[float, float]) -> None:
@@ -308,62 +309,3 @@ def _enlarged(planes: Array, small: GroundGrid, large: GroundGrid) -> Array:
     away = large.places() - small.places()[np.ix_(i, j)]
     made[..., 0] += (made[..., 1:] * away).sum(axis=-1)
     return np.ascontiguousarray(made)
-
-
-def _kept(heights: Image, confidence: Image, settings: HeightFillSettings) -> Image:
-    """Return the heights with NaN where they are not trusted."""
-    kept = np.where(confidence >= settings.min_confidence, heights, np.nan).astype(np.float32)
-    if settings.min_island > 0:
-        kept[~_large_pieces(kept, settings.similar, settings.min_island)] = np.nan
-    return kept
-
-
-def _large_pieces(heights: Image, similar: float, least: int) -> NDArray[np.bool_]:
-    """Return which cells belong to connected pieces of similar height with so many cells."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    number = np.arange(heights.size).reshape(heights.shape)
-    pairs = []
-    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        joined = np.abs(heights[a] - heights[b]) < similar
-        pairs.append(np.stack([number[a][joined], number[b][joined]]))
-    first, second = np.concatenate(pairs, axis=1)
-    graph = coo_array((np.ones(len(first), bool), (first, second)), shape=(heights.size, heights.size))
-    label = connected_components(graph, directed=False)[1]
-    known = np.isfinite(heights)
-    return known & (np.bincount(label)[label].reshape(heights.shape) >= least)
-
-
-def fill_low(heights: Image, percentile: float = 10.0) -> Image:
-    """Return heights with every hole filled by a low height of its rim.
-
-    What no two views saw is mostly ground beside a wall, so that the rim's low side is the better guess.
-
-    Raises
-    ------
-    StageError
-        Where no height is known.
-    """
-    holes = np.isnan(heights)
-    if holes.all():
-        raise StageError("No height is known", expected="some cells that two views agree on", found="none")
-    label, _ = ndimage.label(holes, np.ones((3, 3)))
-    filled = heights.copy()
-    for number, box in enumerate(ndimage.find_objects(label), start=1):
-        grown = tuple(slice(max(0, side.start - 1), side.stop + 1) for side in box)
-        inside = label[grown] == number
-        rim = ndimage.binary_dilation(inside, np.ones((3, 3))) & ~holes[grown]
-        filled[grown][inside] = np.percentile(heights[grown][rim], percentile)
-    return filled
-
-
-def _smoothed(heights: Image, side: int) -> Image:
-    """Return a median filter of the known heights."""
-    if side == 1:
-        return heights
-    holes = np.isnan(heights)
-    near = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
-    smooth = ndimage.median_filter(heights[tuple(near)], side).astype(np.float32)
-    smooth[holes] = np.nan
-    return smooth

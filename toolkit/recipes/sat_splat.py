@@ -8,7 +8,8 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.depth.height_map import HeightMap, fill_low
+from toolkit.depth.height_fill import fill_low
+from toolkit.depth.height_map import HeightMap
 from toolkit.depth.height_settings import HeightSettings
 from toolkit.errors import StageError
 from toolkit.metrics.lpips import Lpips
