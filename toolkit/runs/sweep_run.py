@@ -252,7 +252,9 @@ class _Work:
         run = self._sweep.run_of(trial)
         value = objective_of(run, self._plan.objective) if state == "finished" else None
         if state == "finished" and self._plan.prune:
-            require_curve(run, self._plan.prune)
+            curve = require_curve(run, self._plan.prune)
+            if self._study is not None and curve is not None:
+                self._study.complete(trial.number, curve)
         self._ended += 1
         self._log(f"trial {trial.number} {'pruned: ' + trial.pruned if trial.pruned else state}" + _shown(value))
         if self._study is not None:

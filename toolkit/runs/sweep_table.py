@@ -8,6 +8,7 @@ from pathlib import Path
 
 from toolkit.errors import DataError, RunError, ToolkitError
 from toolkit.files import read_json
+from toolkit.runs.curves import Curve
 from toolkit.runs.folder import RunFolder
 from toolkit.runs.index import summarise
 from toolkit.runs.sweep_plan import Direction, SweepPlan, Trial
@@ -122,24 +123,25 @@ def objective_of(run: RunFolder, objective: str) -> float | None:
     return metrics[objective]
 
 
-def require_curve(run: RunFolder, name: str) -> None:
-    """Raise where a finished run has no curve of this name, by which trials were to be stopped.
+def require_curve(run: RunFolder, name: str) -> Curve | None:
+    """Return the curve of a finished run by which trials are stopped; None where the run's curves are damaged.
 
     Raises
     ------
     RunError
-        The message names those that it has.
+        Where it has none of this name. The message names those that it has.
     """
     try:
-        curves = [f"{curve.stage}/{curve.name}" for curve in run.curves().curves]
+        curves = {f"{curve.stage}/{curve.name}": curve for curve in run.curves().curves}
     except DataError:
-        return
+        return None
     if name not in curves:
         raise RunError(
             f"Run {run.id} has no curve '{name}' to stop trials by",
             expected="one of " + ", ".join(curves),
             todo="Start a sweep with one of these, or without; the run itself is kept",
         )
+    return curves[name]
 
 
 def best_of_trials(results: Sequence[tuple[int, float | None]], direction: Direction) -> tuple[int, float] | None:

@@ -6,7 +6,7 @@ Optuna's journal is a file of JSON lines in the sweep's folder; trials have the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -105,13 +105,24 @@ class TpeStudy:
             Of the curve's stage when it is complete.
         """
         trial = self._trial(number)
+        for percent, value in self._new(trial, number, curve, steps):
+            if trial.should_prune():
+                return f"at {percent} % {self._plan.prune} was {value:.4g}, worse than the median"
+        return ""
+
+    def complete(self, number: int, curve: Curve) -> None:
+        """Take the rest of a finished run's curve, which nobody may have looked at in time: others are compared."""
+        if not self._study.get_trials(deepcopy=False)[number].state.is_finished():
+            for _ in self._new(self._trial(number), number, curve, int(curve.steps[-1])):
+                pass
+
+    def _new(self, trial: Any, number: int, curve: Curve, steps: int) -> Iterator[tuple[int, float]]:
+        """Report what is new in a curve, and yield it."""
         for percent, value in percent_means(curve, steps):
             if percent > self._reported.get(number, 0):
                 self._reported[number] = percent
                 trial.report(self._sign * value, percent)
-                if trial.should_prune():
-                    return f"at {percent} % {self._plan.prune} was {value:.4g}, worse than the median"
-        return ""
+                yield percent, value
 
     def tell(self, number: int, value: float | None, *, pruned: bool = False) -> None:
         """Take the result of a trial; None for one without."""
