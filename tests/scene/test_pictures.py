@@ -40,9 +40,10 @@ def test_grey_becomes_equal_channels(tmp_path: Path) -> None:
 
 def test_sixteen_bits_are_scaled_to_eight(tmp_path: Path) -> None:
     grey = np.array([[0, 128, 129, 257, 32767, 65406, 65407, 65535]], np.uint16)
-    loaded = load_picture(save(tmp_path / "a.png", grey))
-    assert loaded[0, :, 0].tolist() == [0, 0, 1, 1, 127, 254, 255, 255]
-    assert loaded.shape == (1, 8, 3)
+    for ending in ("png", "tif"):
+        loaded = load_picture(save(tmp_path / f"a.{ending}", grey))
+        assert loaded[0, :, 0].tolist() == [0, 0, 1, 1, 127, 254, 255, 255]
+        assert loaded.shape == (1, 8, 3)
 
 
 def test_alpha_is_dropped_and_colours_below_it_stay(tmp_path: Path) -> None:

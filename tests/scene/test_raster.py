@@ -14,7 +14,8 @@ from rpc_samples import CORNERS, geom, sample_rpc, write_picture
 from toolkit.errors import DataError, RunError
 from toolkit.scene import raster_io
 from toolkit.scene.pictures import check_picture, load_picture, picture_size
-from toolkit.scene.raster import Raster, crop_raster, read_raster, stretched
+from toolkit.scene.raster import Raster, read_raster, stretched
+from toolkit.scene.raster_crop import crop_raster
 from toolkit.scene.raster_io import raster_size, write_raster
 from toolkit.scene.rpc_files import read_rpc
 
@@ -181,7 +182,7 @@ def test_percentiles_that_are_none_are_refused() -> None:
 
 @pytest.mark.parametrize("bands", [1, 3, 4, 8])
 def test_load_picture_shows_eleven_bits_in_full_range(tmp_path: Path, bands: int) -> None:
-    path = write_picture(tmp_path / "a.tif", bands=bands)
+    path = write_picture(tmp_path / "a.tif", sample_rpc(0) if bands == 1 else None, bands=bands)
     picture = load_picture(path)
     np.testing.assert_array_equal(picture, stretched(read_raster(path)))
     assert picture.shape == (300, 400, 3)

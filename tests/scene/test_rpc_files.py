@@ -30,7 +30,7 @@ from toolkit.errors import DataError, MissingDependencyError
 from toolkit.geometry.rpc import Rpc
 from toolkit.scene import raster_io
 from toolkit.scene.rpc_fields import LARGEST, fields_from_rpc, rpc_from_fields
-from toolkit.scene.rpc_files import picture_rpc, read_rpc
+from toolkit.scene.rpc_files import picture_rpc, read_rpc, side_file
 
 rasterio = pytest.importorskip("rasterio", reason="rasterio is not installed: pip install 'sightline-toolkit[geo]'")
 
@@ -143,7 +143,7 @@ def test_names_of_rasterio_and_lists_of_numbers_are_read(tmp_path: Path) -> None
 def test_gdal_reads_the_same(tmp_path: Path, picture: str, beside: str, text: str) -> None:
     write_picture(tmp_path / picture)
     (tmp_path / beside).write_text(text)
-    mine = picture_rpc(tmp_path / picture)
+    mine = picture_rpc(tmp_path / picture, side_file(tmp_path / picture))
     assert mine is not None
     assert mine.path == tmp_path / beside
     assert mine.rpc == RPC
@@ -356,7 +356,7 @@ def test_a_picture_cut_off_is_an_error_or_whole_in_its_tags(tmp_path: Path) -> N
 def test_a_picture_without_rpc_says_so(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"Picture .*a\.tif has no RPC in its tags"):
         read_rpc(write_picture(tmp_path / "a.tif"))
-    assert picture_rpc(tmp_path / "a.tif") is None
+    assert picture_rpc(tmp_path / "a.tif", side_file(tmp_path / "a.tif")) is None
 
 
 def test_a_list_of_other_files_dressed_as_tiff_is_not_followed(tmp_path: Path) -> None:

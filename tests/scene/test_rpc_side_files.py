@@ -48,7 +48,7 @@ def test_json_and_xml_without_an_rpc_are_passed_over(tmp_path: Path) -> None:
 def test_a_file_beside_counts_more_than_tags(tmp_path: Path) -> None:
     picture = write_picture(tmp_path / "a.tif", sample_rpc(1))
     write(tmp_path, "a.RPB")
-    found = picture_rpc(picture)
+    found = picture_rpc(picture, side_file(picture))
     assert found is not None
     assert found.rpc == RPC
     assert (found.width, found.height) == (400, 300)
@@ -66,7 +66,7 @@ def part_of_whole(path: Path, left: float, top: float, crs: str | None = None) -
 def test_a_part_of_a_picture_takes_the_rpc_of_the_whole(tmp_path: Path) -> None:
     picture = part_of_whole(tmp_path / "a.tif", 5000, 6000)
     write(tmp_path, "a.geom", geom(RPC, width=40000, height=30000))
-    found = picture_rpc(picture)
+    found = picture_rpc(picture, side_file(picture))
     assert found is not None
     assert found.rpc == RPC.cropped(5000, 6000)
     assert (found.width, found.height) == (400, 300)
@@ -84,7 +84,7 @@ def test_an_rpc_of_another_size_is_refused(tmp_path: Path, left: float, top: flo
     with pytest.raises(
         DataError, match=r"a\.geom belongs to another picture than .*expected 400x300.*found 40000x30000"
     ):
-        picture_rpc(picture)
+        picture_rpc(picture, side_file(picture))
 
 
 def tiles(overlap: int = 0) -> str:
@@ -108,7 +108,7 @@ def test_a_tile_has_its_part_of_the_rpc_as_gdal_has_it(tmp_path: Path, name: str
     picture = write_picture(tmp_path / f"IMG_a_{name}.TIF")
     write(tmp_path, "RPC_a.XML")
     (tmp_path / "DIM_a.XML").write_text(tiles())
-    found = picture_rpc(picture)
+    found = picture_rpc(picture, side_file(picture))
     assert found is not None
     assert found.rpc == RPC.cropped(*corner)
     assert (found.width, found.height) == (400, 300)
@@ -122,4 +122,4 @@ def test_a_tile_of_an_unknown_place_is_refused(tmp_path: Path, description: str 
     if description is not None:
         (tmp_path / "DIM_a.XML").write_text(description)
     with pytest.raises(DataError, match=r"is one tile of several.*found row 1, column 2.*join the tiles"):
-        picture_rpc(picture)
+        picture_rpc(picture, side_file(picture))

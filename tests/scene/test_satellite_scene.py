@@ -15,19 +15,19 @@ from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.geometry.rigid import RigidTransform
+from toolkit.geometry.rpc import Rpc
 from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.scene.capture_folders import find_captures
 from toolkit.scene.capture_summary import summary_warnings
 from toolkit.scene.colmap import write_colmap
 from toolkit.scene.dataset import capture_fingerprint, open_capture
 from toolkit.scene.folder import read_scene, write_scene
+from toolkit.scene.footprints import footprint, overlapping_groups
 from toolkit.scene.pictures import load_picture
 from toolkit.scene.raster import read_raster
 from toolkit.scene.satellite import (
-    footprint,
     is_satellite,
     open_satellite,
-    overlapping_groups,
     read_satellite,
     sun_direction,
 )
@@ -46,6 +46,10 @@ def triplet(folder: Path) -> Path:
     for seed, (name, lean) in enumerate(LEANS.items()):
         write_picture(folder / name, sample_rpc(seed, place=PLACE, lean=lean), seed=seed)
     return folder
+
+
+def camera(rpc: Rpc) -> RpcCamera:
+    return RpcCamera(rpc, 400, 300, (*PLACE, 100.0))
 
 
 def write_map(path: Path, dtype: str = "float32") -> Path:
@@ -205,24 +209,32 @@ def test_a_view_of_another_place_is_named_in_a_warning(tmp_path: Path) -> None:
 
 
 def test_neighbours_hang_together_in_a_chain() -> None:
-    def view(north: float, east: float = 0.0) -> tuple[object, int, int]:
-        return sample_rpc(0, place=(PLACE[0] + north, PLACE[1] + east), lean=(0.0, 0.0)), 400, 300
+    def view(north: float, east: float = 0.0) -> RpcCamera:
+        return camera(sample_rpc(0, place=(PLACE[0] + north, PLACE[1] + east), lean=(0.0, 0.0)))
 
     # Half a picture is 0.000675 degrees of latitude and 0.00123 of longitude.
-    origin = (*PLACE, 100.0)
     chain = {"a": view(0), "b": view(0.0013), "c": view(0.0026), "d": view(0.0053), "e": view(0.0053, 0.0024)}
-    assert overlapping_groups(chain, origin) == [["a", "b", "c"], ["d", "e"]]  # type: ignore[arg-type]
-    assert overlapping_groups({"a": view(0), "b": view(0.00136)}, origin) == [["a"], ["b"]]  # type: ignore[arg-type]
+    assert overlapping_groups(chain) == [["a", "b", "c"], ["d", "e"]]
+    assert overlapping_groups({"a": view(0), "b": view(0.00136)}) == [["a"], ["b"]]
 
 
 def test_footprints_meet_at_the_height_where_the_views_were_aimed() -> None:
     """Two pictures side by side at their middle height overlap above it, where their rays cross."""
-    one = sample_rpc(0, place=PLACE, lean=(0.5, 0.0))
-    other = sample_rpc(0, place=(PLACE[0] + 0.0015, PLACE[1]), lean=(-0.5, 0.0))
-    origin = (*PLACE, 100.0)
-    flat = [enu_from_geodetic(footprint(rpc, 400, 300, 100.0), origin) for rpc in (one, other)]
+    one = camera(sample_rpc(0, place=PLACE, lean=(0.5, 0.0)))
+    other = camera(sample_rpc(0, place=(PLACE[0] + 0.0015, PLACE[1]), lean=(-0.5, 0.0)))
+    flat = [footprint(view, 100.0) for view in (one, other)]
     assert flat[0][:, 1].max() < flat[1][:, 1].min()
-    assert overlapping_groups({"a": (one, 400, 300), "b": (other, 400, 300)}, origin) == [["a", "b"]]
+    assert overlapping_groups({"a": one, "b": other}) == [["a", "b"]]
+
+
+def test_ranges_of_heights_that_touch_have_their_end_in_common() -> None:
+    low = sample_rpc(0, place=PLACE, lean=(0.0, 0.0))
+    bottom, top = low.height_range
+    high = dataclasses.replace(low, height_offset=low.height_offset + (top - bottom))
+    assert high.height_range[0] == pytest.approx(top)
+    assert overlapping_groups({"a": camera(low), "b": camera(high)}) == [["a", "b"]]
+    beyond = dataclasses.replace(low, height_offset=low.height_offset + (top - bottom) + 1)
+    assert overlapping_groups({"a": camera(low), "b": camera(beyond)}) == [["a"], ["b"]]
 
 
 @pytest.mark.parametrize(
@@ -365,6 +377,28 @@ def test_photos_of_sixteen_bits_still_open_as_photos(tmp_path: Path) -> None:
     capture = open_capture(tmp_path)
     assert capture.scene.registered == ()
     assert len(capture.scene) == 1
+
+
+def test_a_single_deep_band_is_stretched_where_an_rpc_tells_a_satellite(tmp_path: Path) -> None:
+    path = write_picture(tmp_path / "a.tif")
+    # 100 to 1500 of 65535.
+    assert load_picture(path).max() <= 6
+    (tmp_path / "a.RPB").write_text(rpb(sample_rpc(0)))
+    assert (load_picture(path).min(), load_picture(path).max()) == (0, 255)
+
+
+def test_an_rpc_file_beside_the_picture_counts_most_and_one_for_two_of_a_name_is_refused(tmp_path: Path) -> None:
+    inner = [write_picture(tmp_path / folder / "a.tif", seed=i) for i, folder in enumerate(("one", "two"))]
+    listed = tmp_path / "rpc" / "a.RPB"
+    listed.parent.mkdir()
+    listed.write_text(rpb(sample_rpc(0, place=PLACE)))
+    with pytest.raises(DataError, match=r"a\.RPB fits two pictures by its name; expected an RPC file for each"):
+        read_satellite([*inner, listed])
+    mine = sample_rpc(1, place=PLACE)
+    (tmp_path / "one" / "a.RPB").write_text(rpb(mine))
+    views = read_satellite([*inner, listed]).views
+    assert views["one/a.tif"].rpc == mine
+    assert views["two/a.tif"].rpc == sample_rpc(0, place=PLACE)
 
 
 def test_a_satellite_folder_is_told_by_the_names_in_it(tmp_path: Path) -> None:

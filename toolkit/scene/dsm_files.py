@@ -161,7 +161,7 @@ def write_dsm(path: Path, heights: ArrayLike, origin: tuple[float, float], resol
 
 
 def read_dsm(path: Path) -> SurfaceModel:
-    """Read a surface model: a GeoTIFF of one band over a map, north up, with square cells.
+    """Read a surface model: a GeoTIFF of one band over a map in metres, north up, with square cells.
 
     Raises
     ------
@@ -177,6 +177,13 @@ def read_dsm(path: Path) -> SurfaceModel:
                 f"{path} is no surface model",
                 expected="one band over a map",
                 found=f"{bands} bands, {'no map' if crs is None else crs.to_string()[:40]}",
+            )
+        if not crs.is_projected or crs.linear_units_factor[1] != 1:
+            raise DataError(
+                f"The map of {path} is not in metres",
+                expected="a projected map whose unit is the metre, like UTM",
+                found=f"{crs.to_string()[:40]}, in {crs.linear_units if crs.is_projected else 'degrees'}",
+                todo="Warp it (gdalwarp -t_srs EPSG:326xx)",
             )
         if transform.b or transform.d or not 0 < transform.a == -transform.e:
             raise DataError(

@@ -16,8 +16,9 @@ from toolkit.geometry.cameras import ColmapCamera
 from toolkit.progress import Progress, silent, track
 from toolkit.scene.colmap_model import check_name
 from toolkit.scene.exif import PhotoTags, read_tags
-from toolkit.scene.pictures import check_picture, open_picture
+from toolkit.scene.pictures import check_picture, open_stored
 from toolkit.scene.priors import GeodeticReading, priors_from_readings
+from toolkit.scene.raster_io import raster_size
 from toolkit.scene.scene import Frame, Georeference, PosePrior, Scene
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -171,10 +172,12 @@ def _natural(name: str) -> tuple[list[tuple[int, str]], str]:
 
 
 def _read(image_dir: Path, name: str, check: bool) -> _Photo:
-    with open_picture(image_dir / name) as picture:
-        photo = _Photo(name, picture.width, picture.height, read_tags(picture))
+    path = image_dir / name
+    with open_stored(path) as picture:
+        width, height = raster_size(path) if picture is None else picture.size
+        photo = _Photo(name, width, height, PhotoTags() if picture is None else read_tags(picture))
     if check:
-        check_picture(image_dir / name)
+        check_picture(path)
     return photo
 
 

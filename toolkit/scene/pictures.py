@@ -6,7 +6,7 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +17,8 @@ from scipy import sparse
 
 from toolkit.errors import DataError
 from toolkit.scene.raster import read_raster, stretched
-from toolkit.scene.raster_io import NITF_MARKS, raster_size
+from toolkit.scene.raster_io import NITF_MARKS, decode_raster, open_raster, raster_size
+from toolkit.scene.rpc_files import side_file
 from toolkit.scene.scene import Frame, Scene
 
 Value = TypeVar("Value", bound=np.generic)
@@ -25,8 +26,12 @@ Value = TypeVar("Value", bound=np.generic)
 _FORMATS = ("JPEG", "PNG", "TIFF")
 # The first bytes of a TIFF in either order of bytes, and of its form for more than 4 GB.
 _TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# BitsPerSample and SampleFormat, in which 1 and 2 are whole numbers.
-_BITS, _SAMPLE_FORMAT, _INTEGERS = 258, 339, 2
+# BitsPerSample, SamplesPerPixel and SampleFormat, in which 1 and 2 are whole numbers.
+_BITS, _BANDS, _SAMPLE_FORMAT, _INTEGERS = 258, 277, 339, 2
+# RPCCoefficientTag: a satellite's picture.
+RPC_TAG = 50844
+# What GDAL may say of a picture's numbers that can be shown.
+_WHOLE_NUMBERS = {"uint8", "int8", "uint16", "int16"}
 
 # Modes that Pillow turns into RGB without loss of meaning; alpha is dropped, the colours below it stay.
 _EIGHT_BIT = {"1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV"}
@@ -69,47 +74,67 @@ def open_picture(path: Path) -> Iterator[Image.Image]:
         ) from error
 
 
-def through_gdal(path: Path) -> bool:
-    """Return whether only GDAL reads a picture's numbers as they are: NITF, and TIFF of 9 to 16 bits or many bands.
+@contextmanager
+def open_stored(path: Path) -> Iterator[Image.Image | None]:
+    """Open a picture as :func:`open_picture`; None where only GDAL knows its kind.
 
-    Pillow takes the upper eight bits of several 16-bit bands, which for a satellite's 11 or 12 bits is next to
-    nothing.
+    These are NITF files and TIFF files that Pillow has no name for: of more than 4 GB, of many bands, of several
+    bands with more than 8 bits. Of the others :func:`loses_bits` tells whether Pillow is to decode them.
+
+    Raises
+    ------
+    DataError
+        As :func:`open_picture`.
     """
-    try:
-        with path.open("rb") as handle:
-            mark = handle.read(4)
-    except OSError:
-        return False
-    if mark in NITF_MARKS:
-        return True
-    if mark not in _TIFF_MARKS:
-        return False
-    try:
-        with open_picture(path) as picture:
-            tags = getattr(picture, "tag_v2", {})
-            deep = 8 < max(tags.get(_BITS, (1,))) <= 16
-            return deep and max(tags.get(_SAMPLE_FORMAT, (1,))) <= _INTEGERS
-    except DataError as error:
-        return isinstance(error.__cause__, UnidentifiedImageError)
+    with ExitStack() as stack:
+        try:
+            picture = stack.enter_context(open_picture(path))
+        except DataError as error:
+            if not (isinstance(error.__cause__, UnidentifiedImageError) and _for_gdal(path)):
+                raise
+            picture = None
+        yield picture
+
+
+def _for_gdal(path: Path) -> bool:
+    with path.open("rb") as handle:
+        return handle.read(4) in (*NITF_MARKS, *_TIFF_MARKS)
+
+
+def loses_bits(picture: Image.Image, path: Path) -> bool:
+    """Return whether Pillow would spoil the numbers of a picture, so that GDAL has to read it.
+
+    Pillow takes the upper eight bits of several 16-bit bands. A satellite's single band, told by the RPC in it or
+    beside it, has 11 or 12 bits, of which 1/257 leaves next to nothing. A photo of one band of 16 bits is Pillow's.
+    """
+    tags = getattr(picture, "tag_v2", {})
+    deep = 8 < max(tags.get(_BITS, (1,))) <= 16 and max(tags.get(_SAMPLE_FORMAT, (1,))) <= _INTEGERS
+    return deep and (tags.get(_BANDS, 1) > 1 or RPC_TAG in tags or side_file(path) is not None)
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Return width and height in pixels, as stored, without decoding. Raises as :func:`open_picture`."""
-    if through_gdal(path):
-        return raster_size(path)
-    with open_picture(path) as picture:
-        return picture.width, picture.height
+    """Return width and height in pixels, as stored, without decoding.
+
+    Raises
+    ------
+    DataError
+        As :func:`open_picture`.
+    MissingDependencyError
+        Where only GDAL knows the kind of picture, and rasterio is not installed.
+    """
+    with open_stored(path) as picture:
+        return raster_size(path) if picture is None else picture.size
 
 
 def check_picture(path: Path) -> None:
-    """Decode a picture to its end and forget it. Raises as :func:`open_picture`.
+    """Decode a picture to its end and forget it. Raises as :func:`picture_size`.
 
     JPEG files are decoded at an eighth of their size, which reads all their bytes and is three times as fast.
     """
-    if through_gdal(path):
-        read_raster(path)
-        return
-    with open_picture(path) as picture:
+    with open_stored(path) as picture:
+        if picture is None or loses_bits(picture, path):
+            decode_raster(path)
+            return
         picture.draft(picture.mode, (max(1, picture.width // 8), max(1, picture.height // 8)))
         picture.load()
 
@@ -118,19 +143,22 @@ def load_picture(path: Path) -> NDArray[np.uint8]:
     """Return a picture's pixels as stored, (H, W, 3) uint8 RGB.
 
     The orientation tag of EXIF is not applied (COLMAP does not, either). Grey becomes equal channels; 16-bit grey
-    of PNG is scaled by 1/257; CMYK is converted; alpha is dropped and the colours below it stay as they are stored.
-    TIFF files of 9 to 16 bits and NITF files, whose sensors fill only a part of their range, are stretched between
-    two percentiles (:func:`toolkit.scene.raster.stretched`).
+    is scaled by 1/257; CMYK is converted; alpha is dropped and the colours below it stay as they are stored.
+    Pictures of sensors that fill only a part of their range are stretched between two percentiles
+    (:func:`toolkit.scene.raster.stretched`): NITF, and TIFF of up to 16 bits that has several bands of more than 8,
+    or an RPC in its tags or in a file beside it.
 
     Raises
     ------
     DataError
         Where the file is missing, empty, no picture, cut off or damaged, or of a kind without a defined
         conversion to 8 bits (floating point, 32-bit, Lab).
+    MissingDependencyError
+        Where only GDAL reads the picture's numbers as they are, and rasterio is not installed.
     """
-    if through_gdal(path):
-        return stretched(read_raster(path))
-    with open_picture(path) as picture:
+    with open_stored(path) as picture:
+        if picture is None or loses_bits(picture, path):
+            return _shown(path)
         picture.load()
         if picture.mode.startswith("I;16") or (picture.mode == "I" and picture.format == "PNG"):
             grey = np.asarray(picture).astype(np.uint16)
@@ -139,9 +167,21 @@ def load_picture(path: Path) -> NDArray[np.uint8]:
             return np.repeat(eight[..., None], 3, axis=2)
         if picture.mode in _EIGHT_BIT:
             return np.array(picture.convert("RGB"), dtype=np.uint8)
-        mode = picture.mode
-    raise DataError(
-        f"Picture {path} has pixels of kind '{mode}'",
+        raise _no_brightness(path, picture.mode)
+
+
+def _shown(path: Path) -> NDArray[np.uint8]:
+    """Return a picture that GDAL reads, stretched."""
+    with open_raster(path) as dataset:
+        odd = sorted(set(dataset.dtypes) - _WHOLE_NUMBERS)
+    if odd:
+        raise _no_brightness(path, odd[0])
+    return stretched(read_raster(path))
+
+
+def _no_brightness(path: Path, kind: str) -> DataError:
+    return DataError(
+        f"Picture {path} has pixels of kind '{kind}'",
         expected="8-bit colour or grey, or 16-bit grey",
         todo="Convert it to 8 bits with a brightness range of your choice",
     )

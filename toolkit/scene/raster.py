@@ -1,4 +1,4 @@
-"""Pictures of many bits and bands, as satellites take them: their numbers, a picture to look at, a part of one."""
+"""Pictures of many bits and bands, as satellites take them: their numbers, and a picture to look at."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit.errors import DataError
-from toolkit.scene.raster_io import Box, open_raster, read_pixels, write_raster
-from toolkit.scene.rpc_files import RpcFile, picture_rpc, read_rpc, tags_from_facts
+from toolkit.scene.raster_io import Box, open_raster, read_pixels
 
 _LOWEST, _HIGHEST = 1.0, 99.0
 
@@ -58,7 +56,8 @@ def stretched(raster: Raster, lowest: float = _LOWEST, highest: float = _HIGHEST
     """Return a picture (H, W, 3) uint8 whose greys use the whole range, whatever range the sensor gave.
 
     Each band is stretched by itself between two percentiles of its pixels that hold data; what is beyond is cut.
-    One band becomes equal channels; of more than two the first three are red, green and blue.
+    One band becomes equal channels, and so does the first of two (the second is not shown); of more than two the
+    first three are red, green and blue.
 
     Parameters
     ----------
@@ -74,51 +73,12 @@ def stretched(raster: Raster, lowest: float = _LOWEST, highest: float = _HIGHEST
     """
     if not 0 <= lowest < highest <= 100:
         raise ValueError(f"expected percentiles 0 <= lowest < highest <= 100, got {lowest} and {highest}")
-    bands = raster.values[:3] if len(raster.values) > 2 else raster.values[[0, 0, 0]]
-    made = np.zeros((*raster.valid.shape, 3), dtype=np.uint8)
+    bands = raster.values[:3] if len(raster.values) > 2 else raster.values[:1]
+    made = np.zeros((*raster.valid.shape, len(bands)), dtype=np.uint8)
     for channel, band in enumerate(bands):
         if not raster.valid.any():
             break
         dark, bright = np.percentile(band[raster.valid], (lowest, highest))
         scale = 255 / (bright - dark) if bright > dark else 0.0
         made[..., channel] = np.where(raster.valid, np.clip(np.rint((band - dark) * scale), 0, 255), 0)
-    return made
-
-
-def crop_raster(path: Path, box: Box, target: Path) -> RpcFile:
-    """Write a part of a picture as a GeoTIFF whose RPC is that of the part.
-
-    Parameters
-    ----------
-    path:
-        Of a GeoTIFF or NITF with an RPC in it or beside it (:func:`toolkit.scene.rpc_files.picture_rpc`).
-    box:
-        Left, top, right and bottom edge in pixels of the part.
-    target:
-        GeoTIFF, replaced in one step. Pixels keep their type and their value for no data; sun and time of the view
-        are in its tags.
-
-    Returns
-    -------
-    What :func:`toolkit.scene.rpc_files.read_rpc` reads from ``target``.
-
-    Raises
-    ------
-    DataError
-        As :func:`read_raster`, and where the picture has no RPC.
-    RunError
-        When the disk is full or the folder may not be written.
-    """
-    whole = picture_rpc(path)
-    if whole is None:
-        raise DataError(
-            f"Picture {path} has no RPC",
-            expected="one in its tags or in a file beside it",
-            todo="Without one, any program can cut it",
-        )
-    with open_raster(path) as dataset:
-        pixels, _ = read_pixels(dataset, path, box)
-        nodata = dataset.nodata
-    rpc = whole.rpc.cropped(box[0], box[1])
-    write_raster(target, pixels, rpc=rpc, nodata=nodata, tags=tags_from_facts(whole))
-    return read_rpc(target)
+    return made if len(bands) > 1 else np.repeat(made, 3, axis=2)

@@ -71,6 +71,13 @@ def raster_size(path: Path) -> tuple[int, int]:
         return int(dataset.width), int(dataset.height)
 
 
+def decode_raster(path: Path) -> None:
+    """Decode a picture to its end, a block at a time, and forget it. Raises as :func:`open_raster`."""
+    with open_raster(path) as dataset:
+        for _, window in dataset.block_windows(1):
+            dataset.read(window=window)
+
+
 def read_pixels(dataset: Any, path: Path, box: Box | None) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Return the pixels (bands, H, W) of an open picture as stored, and where they hold data.
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from toolkit.errors import DataError
 from toolkit.geometry.rpc import Rpc
+from toolkit.geometry.rpc_terms import TERMS
 
 #: Largest text, XML or JSON file that is read. Those of WorldView with all their attitudes have less than 1 MiB.
 LARGEST = 32 * 2**20
@@ -19,9 +20,8 @@ LARGEST = 32 * 2**20
 AXES = ("LINE", "SAMP", "LAT", "LONG", "HEIGHT")
 #: The names of the polynomials there.
 POLYNOMIALS = ("LINE_NUM_COEFF", "LINE_DEN_COEFF", "SAMP_NUM_COEFF", "SAMP_DEN_COEFF")
-_TERMS = 20
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_UNIT = re.compile(r"\s+(pixels|degrees|meters)\s*$")
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+_UNITS = ("pixels", "degrees", "meters")
 _MOST_PIXELS = 2**20
 
 
@@ -162,14 +162,15 @@ def _field(fields: Mapping[str, object], name: str, where: str) -> object:
 
 def _scalar(fields: Mapping[str, object], name: str, where: str) -> float:
     value = _field(fields, name, where)
-    return number(_UNIT.sub("", value) if isinstance(value, str) else value, f"{name} in {where}")
+    words = value.split() if isinstance(value, str) else []
+    return number(words[0] if len(words) == 2 and words[1] in _UNITS else value, f"{name} in {where}")
 
 
 def _coefficients(value: object, name: str, where: str) -> tuple[float, ...]:
     items = value.split() if isinstance(value, str) else value
-    if not isinstance(items, Sequence) or len(items) != _TERMS:
+    if not isinstance(items, Sequence) or len(items) != len(TERMS):
         found = f"{len(items)} of them" if isinstance(items, Sequence) else repr(value)[:40]
-        raise DataError(f"Cannot read {name} in {where}", expected=f"{_TERMS} coefficients", found=found)
+        raise DataError(f"Cannot read {name} in {where}", expected=f"{len(TERMS)} coefficients", found=found)
     return tuple(number(item, f"{name} in {where}") for item in items)
 
 
@@ -212,11 +213,11 @@ def moment(value: object) -> datetime | None:
     try:
         if re.fullmatch(r"\d{14}", text):
             return datetime.strptime(text, "%Y%m%d%H%M%S").replace(tzinfo=UTC)
-        # Python reads six decimals of a second at most; files have up to nine.
-        read = datetime.fromisoformat(re.sub(r"(\.\d{6})\d+", r"\1", text))
-    except ValueError:
+        read = datetime.fromisoformat(text)
+        return read.replace(tzinfo=UTC) if read.tzinfo is None else read.astimezone(UTC)
+    except (ValueError, OverflowError):
+        # What is no time, and the first and last day of all times seen from another zone.
         return None
-    return read.replace(tzinfo=UTC) if read.tzinfo is None else read.astimezone(UTC)
 
 
 def facts(

@@ -203,10 +203,10 @@ def _marked(path: Path) -> bool:
     return False
 
 
-def picture_rpc(picture: Path, among: Mapping[str, Path] | None = None) -> RpcFile | None:
-    """Return the RPC of a picture: that of the file beside it, else that in its tags, None where there is neither.
+def picture_rpc(picture: Path, beside: Path | None) -> RpcFile | None:
+    """Return the RPC of a picture: that of a file that belongs to it, else that in its tags, None for neither.
 
-    A file beside it that tells of a larger picture belongs to the whole of which this one is a part: the RPC is
+    A file that tells of a larger picture belongs to the whole of which this one is a part: the RPC is
     shifted by the part's corner, which the picture's transform gives (1 and 1 pixel, no rotation, no map). For
     tiles of DIMAP (``_R2C1``) it is shifted by the tiles before, whose size stands in the ``DIM_`` file.
 
@@ -214,8 +214,8 @@ def picture_rpc(picture: Path, among: Mapping[str, Path] | None = None) -> RpcFi
     ----------
     picture:
         GeoTIFF or NITF.
-    among:
-        The files to choose from (:func:`by_name`); by default those in the picture's folder.
+    beside:
+        What :func:`side_file` finds, or any other file with its RPC; None for that in the tags.
 
     Raises
     ------
@@ -223,7 +223,6 @@ def picture_rpc(picture: Path, among: Mapping[str, Path] | None = None) -> RpcFi
         Where a file is damaged, or the file beside the picture belongs to one of another size, or the place of a
         tile is not known.
     """
-    beside = side_file(picture, among)
     if beside is None:
         return _tags(picture)
     found = read_rpc(beside)

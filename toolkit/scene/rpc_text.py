@@ -10,10 +10,8 @@ from toolkit.errors import DataError
 from toolkit.geometry.rpc import Rpc
 from toolkit.scene.rpc_fields import AXES, POLYNOMIALS, ViewFacts, facts, read_text, rpc_from_fields
 
-_KEY_VALUE = re.compile(r"\s*([A-Za-z][\w.]*)\s*:\s*(\S*)")
-_NUMBERED = re.compile(r"((?:LINE|SAMP)_(?:NUM|DEN)_COEFF)_(\d+)")
-# A list in round brackets, a text in quotes, or whatever there is up to the semicolon.
-_ASSIGNMENT = re.compile(r"^[ \t]*(\w+)[ \t]*=\s*(\([^()]*\)|\"[^\"\n]*\"|[^;\n]*)[ \t]*;?[ \t]*$", re.MULTILINE)
+_KEY = re.compile(r"[A-Za-z][\w.]*")
+_NUMBERED = re.compile(r"((?:LINE|SAMP)_(?:NUM|DEN)_COEFF)_(\d{1,4})")
 
 #: What DigitalGlobe calls the axes, in the files and, in capitals, in their XML.
 DIGITAL_GLOBE = {"LINE": "line", "SAMP": "samp", "LAT": "lat", "LONG": "long", "HEIGHT": "height"}
@@ -55,9 +53,9 @@ def read_rpc_txt(path: Path) -> tuple[Rpc, ViewFacts]:
         name = key.upper()
         numbered = _NUMBERED.fullmatch(name)
         if numbered is None:
-            fields[name] = value
+            fields[name] = _word(value)
         else:
-            lists.setdefault(numbered[1], {})[int(numbered[2])] = value
+            lists.setdefault(numbered[1], {})[int(numbered[2])] = _word(value)
     return rpc_from_fields(fields | _ordered(lists, 1), str(path)), ViewFacts()
 
 
@@ -73,7 +71,8 @@ def read_geom(path: Path) -> tuple[Rpc, ViewFacts]:
     DataError
         Where the file is missing, no such list, cut off, or its numbers are no RPC00B.
     """
-    values = _lines(path)
+    lines = _lines(path)
+    values = {key: _word(value) for key, value in lines.items()}
     if "polynomial_format" not in values or "type" not in values:
         raise DataError(
             f"{path} is cut off or no geometry of the Orfeo ToolBox",
@@ -94,8 +93,8 @@ def read_geom(path: Path) -> tuple[Rpc, ViewFacts]:
         width=values.get("number_samples"),
         height=values.get("number_lines"),
         acquired=values.get("support_data.time_range_start") or values.get("support_data.image_date"),
-        sun_elevation=_middle(path, "support_data.elevation_angle") if pleiades else None,
-        sun_azimuth=_middle(path, "support_data.azimuth_angle") if pleiades else None,
+        sun_elevation=_middle(lines, "support_data.elevation_angle") if pleiades else None,
+        sun_azimuth=_middle(lines, "support_data.azimuth_angle") if pleiades else None,
     )
     return rpc_from_fields(fields | _ordered(lists, 0), str(path)), read
 
@@ -134,7 +133,7 @@ def _imd(path: Path) -> ViewFacts:
 
 
 def _lines(path: Path) -> dict[str, str]:
-    """Return the first word after each ``key:``, in order."""
+    """Return what follows each ``key:``, in order."""
     text = read_text(path)
     if text and text[-1] not in "\r\n":
         # 1.234E-05 cut off after 1.234 is a number, too.
@@ -146,26 +145,41 @@ def _lines(path: Path) -> dict[str, str]:
         )
     found: dict[str, str] = {}
     for line in text.splitlines():
-        match = _KEY_VALUE.match(line)
-        if match is None:
+        key, colon, value = (part.strip() for part in line.partition(":"))
+        if not (colon and _KEY.fullmatch(key)):
             continue
-        if found.setdefault(match[1], match[2]) != match[2]:
-            raise DataError(f"{path} has '{match[1]}' twice", found=f"{found[match[1]]} and {match[2]}"[:80])
+        if _word(found.setdefault(key, value)) != _word(value):
+            raise DataError(f"{path} has '{key}' twice", found=f"{_word(found[key])} and {_word(value)}"[:80])
     return found
 
 
-def _middle(path: Path, key: str) -> str | None:
-    """Return the middle one of three numbers in triple quotes."""
-    match = re.search(rf'^{re.escape(key)}:\s*"""(\S+) (\S+) (\S+) """', read_text(path), re.MULTILINE)
-    return None if match is None else match[2]
+def _word(value: str) -> str:
+    """Return the first word of a value: the unit, if any, stands behind it."""
+    return value.split(maxsplit=1)[0] if value else ""
+
+
+def _middle(lines: Mapping[str, str], key: str) -> str | None:
+    """Return the middle one of three numbers in triple quotes, None where there are no such three."""
+    value = lines.get(key, "")
+    numbers = value.strip('"').split()
+    return numbers[1] if value.startswith('"""') and value.endswith('"""') and len(numbers) == 3 else None
 
 
 def _assignments(path: Path) -> dict[str, str]:
     """Return what follows each ``key =``: keys in small letters, but for ``END_GROUP``."""
     found: dict[str, str] = {}
-    for match in _ASSIGNMENT.finditer(read_text(path)):
-        key, value = match[1], match[2].strip().strip('"')
-        found[key if key == "END_GROUP" else key.lower()] = value
+    lines = iter(read_text(path).splitlines())
+    for line in lines:
+        key, equals, value = (part.strip() for part in line.partition("="))
+        if not (equals and key):
+            continue
+        if value.startswith("("):
+            # A list goes on up to its bracket, mostly over lines.
+            rest = [value]
+            while ")" not in rest[-1] and (more := next(lines, None)) is not None:
+                rest.append(more)
+            value = "".join(rest)
+        found[key if key == "END_GROUP" else key.lower()] = value.rstrip("; \t").strip('"')
     return found
 
 

@@ -11,6 +11,7 @@ from defusedxml.ElementTree import fromstring
 
 from toolkit.errors import DataError
 from toolkit.geometry.rpc import Rpc
+from toolkit.geometry.rpc_terms import TERMS
 from toolkit.scene.rpc_fields import (
     AXES,
     POLYNOMIALS,
@@ -25,7 +26,6 @@ from toolkit.scene.rpc_text import check_specification, digital_globe_fields
 
 # DIMAP counts pixels from 1, RPC00B from 0.
 _FIRST_PIXEL = 1.0
-_TERMS = 20
 
 
 def read_rpc_xml(path: Path) -> tuple[Rpc, ViewFacts, str]:
@@ -116,7 +116,7 @@ def _version(root: Element) -> int | None:
     """Return the version of DIMAP: an attribute of the format, or of the profile in the first one."""
     for name in ("METADATA_FORMAT", "METADATA_PROFILE"):
         element = root.find(f"Metadata_Identification/{name}")
-        match = re.match(r"(\d+)(\.|$)", element.get("version", "")) if element is not None else None
+        match = re.match(r"(\d{1,4})(\.|$)", element.get("version", "")) if element is not None else None
         if match is not None:
             return int(match[1])
     return None
@@ -130,7 +130,7 @@ def _dimap_two(root: Element, where: str) -> Rpc:
             if value is not None:
                 fields[f"{axis}_{kind}"] = value
     for name in POLYNOMIALS:
-        texts = [_text(root, f".//Global_RFM/Inverse_Model/{name}_{i}") for i in range(1, _TERMS + 1)]
+        texts = [_text(root, f".//Global_RFM/Inverse_Model/{name}_{i}") for i in range(1, len(TERMS) + 1)]
         if any(text is not None for text in texts):
             fields[name] = [text for text in texts if text is not None]
     return rpc_from_fields(_counted_from_zero(fields, where), where)
@@ -146,7 +146,7 @@ def _dimap_one(root: Element, where: str) -> Rpc:
                 fields[f"{axis}_{kind}"] = value
     for axis, name in (("LINE", "F_ROW"), ("SAMP", "F_COL")):
         values = (_text(root, f".//Global_RFM/Inverse_Model/{name}") or "").split()
-        fields[f"{axis}_NUM_COEFF"], fields[f"{axis}_DEN_COEFF"] = values[:_TERMS], values[_TERMS:]
+        fields[f"{axis}_NUM_COEFF"], fields[f"{axis}_DEN_COEFF"] = values[: len(TERMS)], values[len(TERMS) :]
     return rpc_from_fields(_counted_from_zero(fields, where), where)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,22 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError
-from toolkit.geometry.geodesy import Origin, ecef_from_geodetic, enu_from_geodetic, geodetic_from_ecef
+from toolkit.geometry.ellipsoid import geodetic_from_enu
+from toolkit.geometry.geodesy import Origin
 from toolkit.geometry.rigid import RigidTransform
-from toolkit.geometry.rpc import Rpc
 from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.scene.colmap_model import check_name
-from toolkit.scene.pictures import open_picture
+from toolkit.scene.footprints import named_footprint, overlapping_groups
+from toolkit.scene.pictures import RPC_TAG, open_picture
 from toolkit.scene.raster_io import NITF_ENDINGS, RASTER_ENDINGS, open_raster
 from toolkit.scene.rpc_files import RpcFile, by_name, picture_rpc, side_file
 from toolkit.scene.scene import Frame, Georeference, Scene
 
 Array = NDArray[np.float64]
-
-# Heights at which footprints are compared: so many over the range of all RPCs, and each one's middle.
-_HEIGHTS = 9
-# RPCCoefficientTag.
-_RPC_TAG = 50844
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,21 +60,22 @@ def read_satellite(source: Path | Sequence[Path]) -> SatelliteViews:
     ----------
     source:
         A folder, whose pictures (``.tif``, ``.tiff``, ``.ntf``, ``.nitf``) lie in ``images/`` or directly in it; or
-        files: pictures, and RPC files of their names where these lie elsewhere. A file beside or in the list counts
-        more than tags (:func:`toolkit.scene.rpc_files.picture_rpc`).
+        files: pictures, and RPC files of their names where these lie in no picture's folder. A file beside the
+        picture counts most, then one in the list, then tags (:func:`toolkit.scene.rpc_files.picture_rpc`).
 
     Raises
     ------
     DataError
-        Where there is no picture, one has no RPC or is damaged, an RPC file in the list belongs to no picture, or
-        no two views overlap on the ground. In a folder, maps with real numbers (surface models) are left out, with
-        a warning.
+        Where there is no picture, one has no RPC or is damaged, an RPC file in the list belongs to no picture or to
+        two of one name, or no two views overlap on the ground. In a folder, maps with real numbers (surface models)
+        are left out, with a warning.
     MissingDependencyError
         Where rasterio is not installed.
     """
     image_dir, found, warnings = _folder_views(source) if isinstance(source, Path) else _listed_views(list(source))
     origin = _origin(found)
-    groups = overlapping_groups({name: (view.rpc, *_size(view)) for name, view in found.items()}, origin)
+    views = {name: RpcCamera(view.rpc, *_size(view), origin) for name, view in found.items()}
+    groups = overlapping_groups(views)
     if len(groups) == len(found) > 1:
         raise DataError(
             f"The views in {image_dir} do not overlap on the ground",
@@ -94,14 +90,11 @@ def read_satellite(source: Path | Sequence[Path]) -> SatelliteViews:
         )
     times = {name: view.acquired.timestamp() for name, view in found.items() if view.acquired is not None}
     start = min(times.values(), default=0.0)
-    cameras = {
-        number: RpcCamera(view.rpc, *_size(view), origin) for number, view in enumerate(found.values(), start=1)
-    }
     frames = tuple(
         Frame(name, number, RigidTransform.identity(), time=times[name] - start if name in times else None)
         for number, name in enumerate(found, start=1)
     )
-    scene = Scene(image_dir, cameras, frames, georeference=Georeference(*origin))
+    scene = Scene(image_dir, dict(enumerate(views.values(), start=1)), frames, georeference=Georeference(*origin))
     return SatelliteViews(scene, found, warnings)
 
 
@@ -115,67 +108,6 @@ def sun_direction(elevation: float, azimuth: float) -> Array:
     """Return the unit vector (3,), east-north-up, to the sun: degrees above horizon and clockwise from north."""
     up, around = np.radians(elevation), np.radians(azimuth)
     return np.array([np.sin(around) * np.cos(up), np.cos(around) * np.cos(up), np.sin(up)])
-
-
-def footprint(rpc: Rpc, width: int, height: int, altitude: float) -> Array:
-    """Return latitude, longitude, height (4, 3) of a picture's corners at metres above the ellipsoid.
-
-    The corners are those of the image, clockwise from the top left one; the altitude may be outside the RPC's
-    range.
-    """
-    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
-    return rpc.locate(corners, altitude, extrapolate=True)
-
-
-def _named_footprint(name: str, rpc: Rpc, width: int, height: int, altitude: float) -> Array:
-    try:
-        return footprint(rpc, width, height, altitude)
-    except DataError as error:
-        raise DataError(f"The RPC of {name} has no footprint", found=str(error).rstrip(".")) from error
-
-
-def overlapping_groups(views: Mapping[str, tuple[Rpc, int, int]], origin: Origin) -> list[list[str]]:
-    """Return which views hang together by overlapping on the ground, the largest group first.
-
-    Two views overlap where their footprints do at some height that both RPCs were made for: what does not overlap
-    by this shows no place in common.
-
-    Parameters
-    ----------
-    views:
-        RPC, width and height of each by its name.
-    origin:
-        Of the local frame that footprints are compared in.
-    """
-    ranges = [rpc.height_range for rpc, _, _ in views.values()]
-    lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
-    middles = [rpc.height_offset for rpc, _, _ in views.values()]
-    altitudes = np.unique([*np.linspace(lowest, highest, _HEIGHTS), *middles])
-    corners = {
-        name: {
-            altitude: enu_from_geodetic(_named_footprint(name, rpc, width, height, altitude), origin)[:, :2]
-            for altitude in altitudes.tolist()
-            if rpc.height_range[0] <= altitude <= rpc.height_range[1]
-        }
-        for name, (rpc, width, height) in views.items()
-    }
-    group = {name: {name} for name in views}
-    for one, other in itertools.combinations(views, 2):
-        common = corners[one].keys() & corners[other].keys()
-        if other not in group[one] and any(_overlap(corners[one][at], corners[other][at]) for at in common):
-            joined = group[one] | group[other]
-            group |= dict.fromkeys(joined, joined)
-    order = {name: i for i, name in enumerate(views)}
-    sets = {min(names, key=order.__getitem__): names for names in group.values()}
-    return sorted((sorted(names, key=order.__getitem__) for names in sets.values()), key=len, reverse=True)
-
-
-def _overlap(one: Array, other: Array) -> bool:
-    """Return whether two convex polygons (n, 2) meet: no side keeps them apart (separating axis theorem)."""
-    sides = np.concatenate([np.roll(polygon, -1, axis=0) - polygon for polygon in (one, other)])
-    normals = np.stack([-sides[:, 1], sides[:, 0]])
-    mine, theirs = one @ normals, other @ normals
-    return bool(np.all((mine.max(axis=0) >= theirs.min(axis=0)) & (theirs.max(axis=0) >= mine.min(axis=0))))
 
 
 def _pictures(folder: Path) -> tuple[list[Path], dict[str, Path]]:
@@ -193,7 +125,7 @@ def _folder_views(folder: Path) -> tuple[Path, dict[str, RpcFile], tuple[str, ..
     pictures, beside = _pictures(folder)
     found, maps = {}, []
     for picture in pictures:
-        view = picture_rpc(picture, beside)
+        view = picture_rpc(picture, side_file(picture, beside))
         if view is not None:
             found[_checked_name(picture.name)] = view
         elif _is_map(picture):
@@ -223,21 +155,52 @@ def _listed_views(files: list[Path]) -> tuple[Path, dict[str, RpcFile], tuple[st
             found=_some(map(str, others)),
         )
     root = Path(os.path.commonpath([path.parent.absolute() for path in pictures]))
-    found, used = {}, set()
+    sides = _listed_side_files(pictures, others)
+    found = {}
     for picture in pictures:
-        view = picture_rpc(picture, by_name([*others, *sorted(picture.parent.iterdir())]))
+        view = picture_rpc(picture, sides[picture])
         if view is None:
             raise _no_rpc(picture)
-        used.add(view.path)
         found[_checked_name(picture.absolute().relative_to(root).as_posix())] = view
-    idle = [path for path in others if path not in used]
+    used = {path.absolute() for path in sides.values() if path is not None}
+    idle = [path for path in others if path.absolute() not in used]
     if idle:
         raise DataError(
             f"{idle[0]} belongs to no picture by its name",
-            expected="names like a.tif and a.RPB, a_RPC.TXT, a.geom or a.json, IMG_a_R1C1.TIF and RPC_a.XML",
+            expected="names like a.tif and a.RPB, a_RPC.TXT, a.geom or a.json, IMG_a_R1C1.TIF and RPC_a.XML, for a "
+            "picture without such a file in its own folder",
             found=_some(path.name for path in pictures),
         )
     return root, found, ()
+
+
+def _listed_side_files(pictures: Sequence[Path], others: Sequence[Path]) -> dict[Path, Path | None]:
+    """Return the RPC file of each picture: from its own folder, else a listed one that lies in no picture's folder.
+
+    Raises
+    ------
+    DataError
+        Where a listed file fits two pictures of one name.
+    """
+    folders = {picture.parent.absolute() for picture in pictures}
+    beside = {folder: by_name(sorted(folder.iterdir())) for folder in folders}
+    elsewhere = by_name(path for path in others if path.parent.absolute() not in folders)
+    sides: dict[Path, Path | None] = {}
+    taken: dict[tuple[Path, str], Path] = {}
+    for picture in pictures:
+        side = side_file(picture, beside[picture.parent.absolute()])
+        if side is None and (side := side_file(picture, elsewhere)) is not None:
+            # Tiles of one picture share a file; pictures of the same name do not.
+            other = taken.setdefault((side, picture.stem.lower()), picture)
+            if other != picture:
+                raise DataError(
+                    f"{side} fits two pictures by its name",
+                    expected="an RPC file for each picture",
+                    found=f"{other} and {picture}",
+                    todo="Put each RPC file into the folder of its picture",
+                )
+        sides[picture] = side
+    return sides
 
 
 def _has_rpc(picture: Path, among: Mapping[str, Path]) -> bool:
@@ -251,7 +214,7 @@ def _has_rpc(picture: Path, among: Mapping[str, Path]) -> bool:
         return True
     try:
         with open_picture(picture) as opened:
-            return _RPC_TAG in getattr(opened, "tag_v2", {})
+            return RPC_TAG in getattr(opened, "tag_v2", {})
     except DataError:
         return False
 
@@ -284,9 +247,13 @@ def _size(view: RpcFile) -> tuple[int, int]:
 def _origin(found: Mapping[str, RpcFile]) -> Origin:
     """Return the middle of all footprints at the mean height offset."""
     altitude = float(np.mean([view.rpc.height_offset for view in found.values()]))
-    corners = [_named_footprint(name, view.rpc, *_size(view), altitude) for name, view in found.items()]
-    # The mean is taken in earth-centred coordinates: longitudes jump at the date line.
-    latitude, longitude, _ = geodetic_from_ecef(ecef_from_geodetic(np.concatenate(corners)).mean(axis=0))[0]
+    first = next(iter(found.values())).rpc
+    near = (first.latitude_offset, first.longitude_offset, altitude)
+    corners = [
+        named_footprint(name, RpcCamera(view.rpc, *_size(view), near), altitude) for name, view in found.items()
+    ]
+    # The mean is taken in metres: longitudes jump at the date line.
+    latitude, longitude, _ = geodetic_from_enu(np.concatenate(corners).mean(axis=0), near)[0]
     return float(latitude), float(longitude), altitude
 
 

@@ -11,11 +11,12 @@ from pathlib import Path
 
 from PIL import ExifTags, Image
 
-from toolkit.errors import DataError
+from toolkit.errors import DataError, MissingDependencyError
 from toolkit.progress import Progress, silent, track
 from toolkit.scene.exif import PhotoTags, read_tags
 from toolkit.scene.photo_quality import MEASURED_SIDE
-from toolkit.scene.pictures import open_picture, picture_size, through_gdal
+from toolkit.scene.pictures import open_stored
+from toolkit.scene.raster_io import raster_size
 from toolkit.scene.scene import Scene
 from toolkit.scene.thumbnails import Thumbnail, Thumbnails
 
@@ -38,7 +39,7 @@ class PhotoFacts:
     focal_mm:
         Focal length that the tags tell, in millimetres, or None.
     damage:
-        Why the file cannot be read, empty where it can.
+        Why the file cannot be read (damage, or rasterio is not there for it), empty where it can.
     """
 
     name: str
@@ -59,12 +60,11 @@ def read_facts(scene: Scene, *, progress: Progress = silent) -> tuple[PhotoFacts
 def photo_facts(name: str, path: Path) -> PhotoFacts:
     """Return what is known of one photo."""
     try:
-        if through_gdal(path):
-            width, height = picture_size(path)
-            return PhotoFacts(name, width, height)
-        with open_picture(path) as picture:
+        with open_stored(path) as picture:
+            if picture is None:
+                return PhotoFacts(name, *raster_size(path))
             return PhotoFacts(name, picture.width, picture.height, read_tags(picture), _focal_mm(picture))
-    except DataError as error:
+    except (DataError, MissingDependencyError) as error:
         return PhotoFacts(name, damage=str(error))
 
 
@@ -97,7 +97,7 @@ def survey(
     for place in track(range(len(scene)) if chosen is None else chosen, "data.survey", progress):
         try:
             made[place] = None if facts[place].damage else kept.of(scene.image_path(scene.frames[place]), side)
-        except DataError:
+        except (DataError, MissingDependencyError):
             made[place] = None
     return made
 

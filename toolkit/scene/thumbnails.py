@@ -16,7 +16,7 @@ from PIL import Image
 from toolkit.errors import DataError, RunError
 from toolkit.files import atomic_path
 from toolkit.scene.photo_quality import measure
-from toolkit.scene.pictures import load_picture, open_picture, through_gdal
+from toolkit.scene.pictures import load_picture, loses_bits, open_stored
 
 #: Longer side of a thumbnail in pixels: twice of what a page shows, for screens with fine pixels.
 THUMBNAIL_SIDE = 320
@@ -116,12 +116,11 @@ def _made(path: Path, side: int) -> Thumbnail:
 
 def _decoded(path: Path, side: int) -> Image.Image:
     """Return a photo as RGB, with a longer side of ``side`` pixels or more where it has as many."""
-    if not through_gdal(path):
-        with open_picture(path) as picture:
-            if not picture.mode.startswith(("I", "F")):
-                # JPEG files are decoded at a half, quarter or eighth where that is enough.
-                picture.draft("RGB", _fitted(picture.size, side))
-                return picture.convert("RGB")
+    with open_stored(path) as picture:
+        if picture is not None and not loses_bits(picture, path) and not picture.mode.startswith(("I", "F")):
+            # JPEG files are decoded at a half, quarter or eighth where that is enough.
+            picture.draft("RGB", _fitted(picture.size, side))
+            return picture.convert("RGB")
     return Image.fromarray(load_picture(path))
 
 
