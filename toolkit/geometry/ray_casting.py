@@ -46,11 +46,28 @@ class MeshCaster:
         """Return how far rays from one place (3,) get, in lengths of their ``directions`` (n, 3), or infinity."""
         distance = np.empty(len(directions))
         for at in range(0, len(directions), _BLOCK):
-            part = directions[at : at + _BLOCK]
-            rays = np.empty((len(part), 6), np.float32)
-            rays[:, :3], rays[:, 3:] = origin - self._middle, part
-            distance[at : at + _BLOCK] = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy()
+            rays = self._rays(origin, directions[at : at + _BLOCK])
+            distance[at : at + _BLOCK] = self._scene.cast_rays(rays)["t_hit"].numpy()
         return distance
+
+    def first(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Return how far rays from ``origins`` (n, 3) get, in lengths of ``directions`` (n, 3), and what they meet.
+
+        Origins must be near the mesh: to single precision a place in orbit is rounded to a few centimetres.
+
+        Returns
+        -------
+        (n,) distances, infinite where a ray meets nothing, and (n,) rows of the mesh's faces, -1 there.
+        """
+        answer = self._scene.cast_rays(self._rays(origins, directions))
+        distance = answer["t_hit"].numpy().astype(np.float64)
+        face = answer["primitive_ids"].numpy().astype(np.int64)
+        return distance, np.where(np.isfinite(distance), face, -1)
+
+    def blocked(self, origins: Array, directions: Array) -> NDArray[np.bool_]:
+        """Return (n,) whether rays from ``origins`` (n, 3) along ``directions`` (n, 3) meet anything."""
+        found: NDArray[np.bool_] = self._scene.test_occlusions(self._rays(origins, directions)).numpy()
+        return found
 
     def depth(self, camera: Camera, cam_from_world: RigidTransform) -> NDArray[np.float32]:
         """Return the depth (H, W) at pixel centres, z in scene units; 0 where nothing is met or no ray is."""
@@ -75,3 +92,9 @@ class MeshCaster:
         answer = self._scene.compute_closest_points(query)
         apart = answer["points"].numpy().astype(np.float64) + self._middle - points
         return np.linalg.norm(apart, axis=1), answer["primitive_normals"].numpy().astype(np.float64)
+
+    def _rays(self, origins: Array, directions: Array) -> Any:
+        """Return Open3D's rays (n, 6) from one place (3,) or from each its own (n, 3)."""
+        rays = np.empty((len(directions), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = origins - self._middle, directions
+        return self._o3d.core.Tensor(rays)

@@ -1,4 +1,4 @@
-"""Features followed through near frames: for and against the matches of distant ones."""
+"""Features that matches join, and what those followed through near frames say of the matches of distant ones."""
 
 from __future__ import annotations
 
@@ -40,40 +40,62 @@ def track_support(verified: VerifiedPairs, near: NDArray[np.bool_]) -> TrackSupp
     near:
         (P,) which of them are believed.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     frames = int(verified.index.max(initial=-1)) + 1
     sizes = np.zeros(frames, dtype=np.int64)
     for (i, j), found in zip(verified.index.tolist(), verified.matches, strict=True):
         sizes[i] = max(sizes[i], found[:, 0].max(initial=-1) + 1)
         sizes[j] = max(sizes[j], found[:, 1].max(initial=-1) + 1)
     starts = np.concatenate([[0], np.cumsum(sizes)])
-    nodes = int(starts[-1])
     links = [
         found + starts[list(pair)]
         for pair, found, believed in zip(verified.index.tolist(), verified.matches, near.tolist(), strict=True)
         if believed
     ]
     ends = np.concatenate(links) if links else np.zeros((0, 2), dtype=np.int64)
-    graph = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(nodes, nodes))
-    number, track = connected_components(graph, directed=False)
     frame_of = np.repeat(np.arange(frames), sizes)
-    # One number for each track and frame, so that twice the same is a track with two features in a frame.
-    places = track.astype(np.int64) * frames + frame_of
-    _, which, times = np.unique(places, return_inverse=True, return_counts=True)
-    bad = np.zeros(number, dtype=np.bool_)
-    bad[track[times[which] > 1]] = True
-    known = np.sort(places[~bad[track]])
+    track, whole = joined_features(ends, frame_of)
+    # One number for each track and frame.
+    places = track * frames + frame_of
+    known = np.sort(places[whole[track]])
     agreeing, contradicting = np.zeros((2, len(verified.index)), dtype=np.int64)
     for row, ((i, j), found) in enumerate(zip(verified.index.tolist(), verified.matches, strict=True)):
         one, other = track[found[:, 0] + starts[i]], track[found[:, 1] + starts[j]]
-        sound = ~bad[one] & ~bad[other]
+        sound = whole[one] & whole[other]
         same = one == other
         elsewhere = _holds(known, one * frames + j) | _holds(known, other * frames + i)
         agreeing[row] = np.sum(same & sound)
         contradicting[row] = np.sum(~same & sound & elsewhere)
     return TrackSupport(agreeing, contradicting)
+
+
+def joined_features(links: Integers, frame: Integers) -> tuple[Integers, NDArray[np.bool_]]:
+    """Follow links between features: what they connect, over any number of frames, is one track.
+
+    Parameters
+    ----------
+    links:
+        (M, 2) pairs of features that match, as rows of ``frame``.
+    frame:
+        (N,) the frame of each feature.
+
+    Returns
+    -------
+    track:
+        (N,) each feature's track, 0 to K - 1; a feature without a link is a track of its own.
+    sound:
+        (K,) False where a track has two features in one frame: it is wrong somewhere.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(links), np.bool_), (links[:, 0], links[:, 1])), shape=(len(frame), len(frame)))
+    count, track = connected_components(graph, directed=False)
+    track = track.astype(np.int64)
+    order = np.lexsort((frame, track))
+    again = (np.diff(track[order]) == 0) & (np.diff(frame[order]) == 0)
+    sound = np.ones(count, dtype=np.bool_)
+    sound[track[order][1:][again]] = False
+    return track, sound
 
 
 def _holds(ordered: Integers, wanted: Integers) -> NDArray[np.bool_]:

@@ -10,8 +10,10 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from toolkit.geometry.rays import nearest_points
 from toolkit.poses.adjust import AdjustmentReport, adjust
 from toolkit.poses.held_out import MatchedTracks
+from toolkit.poses.sightings import sighting_rays, sighting_residuals
 from toolkit.scene import Points, Scene, Tracks, scene_from_pycolmap, scene_to_pycolmap
 
 Array = NDArray[np.float64]
@@ -51,22 +53,15 @@ def place_points(scene: Scene, tracks: MatchedTracks) -> Array:
     the rays do not determine it.
     """
     rows = np.flatnonzero(~tracks.held_out)
-    centre, towards = _rays(scene, tracks, rows)
+    centre, towards = sighting_rays(scene, tracks.frame[rows], tracks.pixel[rows])
     sound = np.isfinite(towards).all(axis=1)
     rows, centre, towards = rows[sound], centre[sound], towards[sound]
     number = tracks.track[rows]
-    across = np.eye(3) - towards[:, :, None] * towards[:, None, :]
     weight = np.ones(len(rows))
-    points = np.full((tracks.count, 3), np.nan)
     for _ in range(_ROUNDS):
-        matrix, right = np.zeros((tracks.count, 3, 3)), np.zeros((tracks.count, 3))
-        np.add.at(matrix, number, weight[:, None, None] * across)
-        np.add.at(right, number, weight[:, None] * np.einsum("nij,nj->ni", across, centre))
-        determined = np.linalg.cond(matrix) < 1e10
-        points[determined] = np.linalg.solve(matrix[determined], right[determined][:, :, None])[:, :, 0]
-        points[~determined] = np.nan
+        points = nearest_points(centre, towards, number, tracks.count, weight)
         away = points[number] - centre
-        sine = np.linalg.norm(np.einsum("nij,nj->ni", across, away), axis=1) / np.linalg.norm(away, axis=1)
+        sine = np.linalg.norm(np.cross(away, towards), axis=1) / np.linalg.norm(away, axis=1)
         weight = np.nan_to_num(1.0 / (1.0 + np.square(sine / _RAY_SCALE)))
     return points
 
@@ -80,7 +75,7 @@ def explained(scene: Scene, tracks: MatchedTracks, *, max_error: float, min_angl
     error = np.linalg.norm(residuals(scene, tracks, place_points(scene, tracks)), axis=1)
     # A withheld observation has no say in which tracks are used.
     wrong = ~(error <= max_error) & ~tracks.held_out
-    towards = _rays(scene, tracks, np.arange(len(tracks.track)))[1]
+    towards = sighting_rays(scene, tracks.frame, tracks.pixel)[1]
     mean = np.zeros((tracks.count, 3))
     np.add.at(mean, tracks.track, np.nan_to_num(towards))
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
@@ -94,12 +89,7 @@ def explained(scene: Scene, tracks: MatchedTracks, *, max_error: float, min_angl
 
 def residuals(scene: Scene, tracks: MatchedTracks, points: Array) -> Array:
     """Return projected minus seen (T, 2) in pixels of all observations; NaN where a point has no image."""
-    found = np.full((len(tracks.track), 2), np.nan)
-    for camera_id, rows in _by_camera(scene, tracks.frame).items():
-        rotation, translation = _poses(scene, tracks.frame[rows])
-        seen = np.einsum("nij,nj->ni", rotation, points[tracks.track[rows]]) + translation
-        found[rows] = scene.cameras[camera_id].project(seen) - tracks.pixel[rows]
-    return found
+    return sighting_residuals(scene, tracks.frame, tracks.pixel, points[tracks.track])
 
 
 def adjust_on(scene: Scene, tracks: MatchedTracks, *, refine_principal_point: bool, threads: int = 0) -> Judged:
@@ -178,28 +168,3 @@ def free_intrinsics(cameras: Iterable[pycolmap.Camera], *, principal_point: bool
         + (len(camera.principal_point_idxs()) if principal_point else 0)
         for camera in cameras
     )
-
-
-def _rays(scene: Scene, tracks: MatchedTracks, rows: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return camera centres (N, 3) and unit directions (N, 3) in the world of some observations; NaN where none."""
-    centre, towards = np.full((len(rows), 3), np.nan), np.full((len(rows), 3), np.nan)
-    for camera_id, here in _by_camera(scene, tracks.frame[rows]).items():
-        rotation, translation = _poses(scene, tracks.frame[rows[here]])
-        _, direction = scene.cameras[camera_id].ray(tracks.pixel[rows[here]])
-        towards[here] = np.einsum("nji,nj->ni", rotation, direction)
-        centre[here] = -np.einsum("nji,nj->ni", rotation, translation)
-    return centre, towards
-
-
-def _by_camera(scene: Scene, frame: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
-    used = np.array([each.camera_id for each in scene.frames])[frame]
-    return {int(number): np.flatnonzero(used == number) for number in np.unique(used)}
-
-
-def _poses(scene: Scene, frame: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return rotations (N, 3, 3) and translations (N, 3) of frames; NaN where a frame has no pose."""
-    rotation, translation = np.full((len(scene), 3, 3), np.nan), np.full((len(scene), 3), np.nan)
-    for index, each in enumerate(scene.frames):
-        if each.cam_from_world is not None:
-            rotation[index], translation[index] = each.cam_from_world.rotation, each.cam_from_world.translation
-    return rotation[frame], translation[frame]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import StageError
+from toolkit.geometry.rays import ray_equations
 from toolkit.poses.circular_model import Observations, Ring, poses, rotation_vectors
 from toolkit.poses.circular_tracks import Sequence
 
@@ -138,10 +139,8 @@ def triangulate(ring: Ring, seen: Observations, camera_of_frame: Index) -> tuple
         direction[rows] = model.ray(seen.pixel[rows])[1]
     known = np.isfinite(direction).all(axis=1)
     ray = np.einsum("nba,nb->na", rotation[seen.frame], np.where(known[:, None], direction, 0.0))
-    across = (np.eye(3) - ray[:, :, None] * ray[:, None, :]) * known[:, None, None]
     starts = seen.starts
-    matrix = np.add.reduceat(across, starts)
-    side = np.add.reduceat(np.einsum("nab,nb->na", across, centre[seen.frame]), starts)
+    matrix, side = ray_equations(centre[seen.frame], ray, seen.point, len(starts), known.astype(np.float64))
     # Rays that are nearly parallel say nothing of the distance: the ridge leaves such points near the cameras.
     points = np.linalg.solve(matrix + 1e-9 * np.eye(3), side[:, :, None])[:, :, 0]
     depth = np.einsum("na,na->n", points[seen.point] - centre[seen.frame], ray)

@@ -7,7 +7,6 @@ are withheld: their keypoints lose their matches, and no adjustment ever sees th
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from toolkit.errors import StageError
-from toolkit.matching.database import NOT_VERIFIED
+from toolkit.matching.match_tracks import tracked_keypoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,44 +74,16 @@ def matched_tracks(database_path: Path) -> MatchedTracks:
         A copy that belongs to the caller: COLMAP changes a database by opening it. Image numbers are the frame's
         place in the scene plus one.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    kinds: Counter[str] = Counter()
-    edges = [np.zeros((0, 2), np.int64)]
-    with closing(pycolmap.Database.open(database_path)) as database:
-        images = sorted(image.image_id for image in database.read_all_images())
-        points = [np.asarray(database.read_keypoints(image_id))[:, :2] for image_id in images]
-        starts = np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64)
-        first = {image_id: int(start) for image_id, start in zip(images, starts[:-1], strict=True)}
-        for pair_id, geometry in zip(*database.read_two_view_geometries(), strict=True):
-            inliers = np.asarray(geometry.inlier_matches, dtype=np.int64).reshape(-1, 2)
-            if int(geometry.config) in NOT_VERIFIED or not len(inliers):
-                continue
-            kinds[pycolmap.TwoViewGeometryConfiguration(geometry.config).name.lower()] += 1
-            one, other = pycolmap.pair_id_to_image_pair(pair_id)
-            edges.append(inliers + np.array([first[one], first[other]]))
-    joined, total = np.concatenate(edges), int(starts[-1])
-    graph = coo_array((np.ones(len(joined), bool), (joined[:, 0], joined[:, 1])), shape=(total, total))
-    label = connected_components(graph, directed=False)[1].astype(np.int64)
-    frame = np.repeat(np.array(images, dtype=np.int64) - 1, np.diff(starts))
-    keypoint = np.arange(total) - np.repeat(starts[:-1], np.diff(starts))
-    order = np.lexsort((frame, label))
-    label, frame = label[order], frame[order]
-    twice = np.zeros(total, bool)
-    again = (label[1:] == label[:-1]) & (frame[1:] == frame[:-1])
-    twice[label[1:][again]] = True
-    sound = (np.bincount(label, minlength=total) >= 2) & ~twice
-    found = MatchedTracks(
-        label,
-        frame,
-        keypoint[order],
-        np.concatenate([np.zeros((0, 2)), *points]).astype(np.float64)[order],
-        np.zeros(total, bool),
-        total,
-        dict(sorted(kinds.items())),
+    found = tracked_keypoints(database_path)
+    return MatchedTracks(
+        found.track,
+        found.frame,
+        found.keypoint,
+        found.pixel,
+        np.zeros(len(found.track), bool),
+        found.count,
+        found.verified_as,
     )
-    return found.of(sound)
 
 
 def hold_out(tracks: MatchedTracks, *, share: float, min_length: int, most: int, seed: int) -> MatchedTracks:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from toolkit.errors import DataError, StageError
 from toolkit.geometry.cameras import Camera
+from toolkit.geometry.rays import ray_equations
 from toolkit.scene import Frame, Scene
 
 Array = NDArray[np.float64]
@@ -189,8 +190,7 @@ def _nearest_to_axes(origins: Array, axes: Array, need: bool) -> Array:
     origin is taken.
     """
     middle = origins.mean(axis=0)
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    normal = across.sum(axis=0)
+    (normal,), (side,) = ray_equations(origins - middle, axes, np.zeros(len(axes), dtype=np.int64), 1)
     if need and np.linalg.eigvalsh(normal)[0] <= _PARALLEL**2 * len(axes):
         raise StageError(
             "All optical axes are parallel and meet nowhere",
@@ -198,7 +198,6 @@ def _nearest_to_axes(origins: Array, axes: Array, need: bool) -> Array:
             found=f"{len(axes)} frames",
             todo="Give the focus point, or a scene with points",
         )
-    side = (across @ (origins - middle)[:, :, None])[:, :, 0].sum(axis=0)
     place: Array = middle + np.linalg.lstsq(normal, side, rcond=_PARALLEL**2)[0]
     return place
 

@@ -16,7 +16,6 @@ from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.poses.feedforward.align import (
     ReferenceSettings,
-    align_prediction,
     align_to_reference,
     common_centres,
     moved_scene,
@@ -61,6 +60,16 @@ def test_the_similarity_is_found_among_wrong_pairs(noise: float, wrong: int) -> 
     assert json.dumps(found.to_dict())
 
 
+@pytest.mark.parametrize("spoilt", ["source", "target"])
+def test_one_far_pair_does_not_make_the_others_a_line(spoilt: str) -> None:
+    source, target = pairs()
+    (source if spoilt == "source" else target)[7] += [1e6, -2e6, 5e5]
+    found = robust_similarity(source, target, ReferenceSettings(), seed=3)
+    # Exact but for rounding.
+    np.testing.assert_allclose(found.similarity.matrix, TRUTH.matrix, atol=1e-9)
+    assert np.flatnonzero(~found.inliers).tolist() == [7]
+
+
 def test_a_seed_repeats() -> None:
     source, target = pairs(noise=0.5, wrong=20)
     one, other = (robust_similarity(source, target, ReferenceSettings(), seed=7) for _ in range(2))
@@ -90,21 +99,21 @@ def test_points_and_cameras_of_a_scene_move_together() -> None:
     scene = scene_of()
     source, target = pairs(noise=0.01)
     place = Georeference(48.0, 9.0, 600.0)
-    made = align_to_reference(scene, source, target, georeference=place, seed=1)
-    assert made.scene.georeference == place
-    assert made.scene.points is not None
+    made, found = align_to_reference(scene, source, target, georeference=place, seed=1)
+    assert made.georeference == place
+    assert made.points is not None
     assert scene.points is not None
-    np.testing.assert_allclose(made.scene.points.xyz, TRUTH.apply(scene.points.xyz), atol=0.1)
-    np.testing.assert_allclose(made.scene.centres(), TRUTH.apply(scene.centres()), atol=0.1)
+    np.testing.assert_allclose(made.points.xyz, TRUTH.apply(scene.points.xyz), atol=0.1)
+    np.testing.assert_allclose(made.centres(), TRUTH.apply(scene.centres()), atol=0.1)
     camera = scene.cameras[1]
-    for old, new in zip(scene.frames, made.scene.frames, strict=True):
+    for old, new in zip(scene.frames, made.frames, strict=True):
         assert old.cam_from_world is not None
         assert new.cam_from_world is not None
         assert new.prior is None
         before = camera.project(old.cam_from_world.apply(scene.points.xyz))
-        after = camera.project(new.cam_from_world.apply(made.scene.points.xyz))
+        after = camera.project(new.cam_from_world.apply(made.points.xyz))
         np.testing.assert_allclose(before, after, atol=1e-6)
-    assert made.to_dict()["pairs"] == 60
+    assert found.to_dict()["pairs"] == 60
 
 
 def test_a_prediction_moves_too() -> None:
@@ -119,7 +128,7 @@ def test_a_prediction_moves_too() -> None:
         np.array([[1.0, 1, 0, 0]]),
     ).with_points_from_depth()
     found = robust_similarity(*pairs(), ReferenceSettings())
-    moved = align_prediction(said, found)
+    moved = said.transformed(found.similarity)
     np.testing.assert_allclose(moved.points, TRUTH.apply(said.points), rtol=1e-5)
 
 

@@ -29,7 +29,7 @@ from toolkit.poses.feedforward.tracks import (
     residuals,
 )
 from toolkit.progress import CancelToken
-from toolkit.scene import Frame, Points, Scene, Tracks
+from toolkit.scene import Frame, Scene, Tracks
 
 COUNT = 5
 
@@ -257,4 +257,3 @@ def test_errors_of_nothing_are_none(scene: Scene) -> None:
     errors = reprojection_errors(scene, tracks, np.full((30, 3), np.nan))
     assert errors.observations == 0
     assert np.isnan(errors.median)
-    assert Points(np.zeros((0, 3)), np.zeros((0, 3), np.uint8)).tracks is None

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from toolkit.errors import DataError, StageError
 from toolkit.geometry.alignment import Similarity, align
-from toolkit.poses.feedforward.prediction import Prediction
 from toolkit.scene import Georeference, Scene
 from toolkit.settings import Integer, Number, Settings
 
@@ -90,26 +89,6 @@ class RobustSimilarity:
         }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AlignedScene:
-    """A scene in the reference's world.
-
-    Attributes
-    ----------
-    scene:
-        With its poses and points moved.
-    found:
-        The similarity, and how well it fits.
-    """
-
-    scene: Scene
-    found: RobustSimilarity
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers, ready for JSON."""
-        return self.found.to_dict()
-
-
 def align_to_reference(
     scene: Scene,
     source: ArrayLike,
@@ -118,13 +97,14 @@ def align_to_reference(
     *,
     georeference: Georeference | None = None,
     seed: int = 0,
-) -> AlignedScene:
+) -> tuple[Scene, RobustSimilarity]:
     """Move a scene into the world of a reference, by points that are known in both.
 
     Parameters
     ----------
     scene:
-        Its poses and points move; so do the depths of its pictures, whose unit becomes that of the reference.
+        Its poses and points move (:func:`moved_scene`). A prediction moves by
+        :meth:`~toolkit.poses.feedforward.prediction.Prediction.transformed`.
     source:
         (N, 3) points in the scene's world: camera centres (:func:`common_centres`) or places on the ground.
     target:
@@ -136,18 +116,17 @@ def align_to_reference(
     seed:
         Of RANSAC.
 
+    Returns
+    -------
+    The scene in the reference's world, and the similarity that brought it there.
+
     Raises
     ------
     DataError, StageError
         As :func:`robust_similarity`.
     """
     found = robust_similarity(source, target, settings or ReferenceSettings(), seed=seed)
-    return AlignedScene(moved_scene(scene, found.similarity, georeference), found)
-
-
-def align_prediction(prediction: Prediction, found: RobustSimilarity) -> Prediction:
-    """Return a prediction in the world that :func:`robust_similarity` found for its scene."""
-    return prediction.transformed(found.similarity)
+    return moved_scene(scene, found.similarity, georeference), found
 
 
 def common_centres(scene: Scene, reference: Scene) -> tuple[Array, Array]:
@@ -229,10 +208,16 @@ def robust_similarity(
         cost = float(np.minimum(distance, limit) @ np.minimum(distance, limit))
         if cost < best_cost:
             best, best_cost = distance <= limit, cost
+    if not np.isfinite(best_cost):  # no sample spans a plane
+        _check_spread(a, settings)
+        _check_spread(b, settings)
     needed = max(settings.min_pairs, int(np.ceil(settings.min_share / 100 * len(a))))
     if best.sum() < needed:
         raise _disagree(int(best.sum()), len(a), needed, limit)
     for _ in range(_ROUNDS):
+        # Of those that agree only: beside a single far one, all others look like a line.
+        _check_spread(a[best], settings)
+        _check_spread(b[best], settings)
         similarity = align(a[best], b[best], with_scale=True)
         distance = np.linalg.norm(similarity.apply(a) - b, axis=1)
         agree = distance <= limit
@@ -241,7 +226,6 @@ def robust_similarity(
         if np.array_equal(agree, best):
             break
         best = agree
-    _check_spread(a[best], settings)
     return RobustSimilarity(similarity, best, distance, float(limit))
 
 
@@ -263,8 +247,6 @@ def _check_pairs(a: Array, b: Array, settings: ReferenceSettings) -> None:
         raise StageError(
             "Too few pairs of points to align", expected=f"at least {settings.min_pairs}", found=str(len(a))
         )
-    _check_spread(a, settings)
-    _check_spread(b, settings)
 
 
 def _check_spread(points: Array, settings: ReferenceSettings) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.rays import nearest_points
 from toolkit.poses.feedforward.prediction import Prediction
+from toolkit.poses.sightings import sighting_rays, sighting_residuals
 from toolkit.scene import Scene, Tracks
 
 Array = NDArray[np.float64]
@@ -17,15 +19,8 @@ def residuals(scene: Scene, tracks: Tracks, xyz: Array) -> Array:
 
     Infinity where the point has no image, or the frame no pose.
     """
-    off = np.full(len(tracks.point), np.inf)
-    for index in np.unique(tracks.frame).tolist():
-        frame = scene.frames[index]
-        if frame.cam_from_world is None:
-            continue
-        rows = np.flatnonzero(tracks.frame == index)
-        in_camera = frame.cam_from_world.apply(xyz[tracks.point[rows]])
-        miss = scene.camera_of(frame).project(in_camera) - tracks.pixel[rows]
-        off[rows] = np.nan_to_num(np.linalg.norm(miss, axis=1), nan=np.inf)
+    miss = sighting_residuals(scene, tracks.frame, tracks.pixel, xyz[tracks.point])
+    off: Array = np.nan_to_num(np.linalg.norm(miss, axis=1), nan=np.inf)
     return off
 
 
@@ -34,23 +29,9 @@ def meeting_points(scene: Scene, tracks: Tracks, count: int) -> Array:
 
     NaN where fewer than two rays, or parallel ones, leave the point open.
     """
-    normal, target = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    for index in np.unique(tracks.frame).tolist():
-        frame = scene.frames[index]
-        if frame.cam_from_world is None:
-            continue
-        rows = np.flatnonzero(tracks.frame == index)
-        origins, directions = scene.camera_of(frame).ray(tracks.pixel[rows])
-        world_from_cam = frame.cam_from_world.inverse()
-        origins, directions = world_from_cam.apply(origins), directions @ world_from_cam.rotation.T
-        across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-        np.add.at(normal, tracks.point[rows], across)
-        np.add.at(target, tracks.point[rows], np.einsum("nij,nj->ni", across, origins))
-    points = np.full((count, 3), np.nan)
-    # One ray leaves the normal equations without rank along itself, and so do parallel ones.
-    open_ = np.linalg.eigvalsh(normal)[:, 0] <= 1e-9
-    points[~open_] = np.linalg.solve(normal[~open_], target[~open_][..., None])[..., 0]
-    return points
+    origins, directions = sighting_rays(scene, tracks.frame, tracks.pixel)
+    known = np.isfinite(directions).all(axis=1)
+    return nearest_points(origins[known], directions[known], tracks.point[known], count)
 
 
 def points_from_depth(

@@ -13,6 +13,8 @@ from toolkit.errors import CapabilityError, DataError, WeightsMissingError
 from toolkit.optional import require
 
 _HUB_NAME = re.compile(r"[\w-][\w.-]*/[\w-][\w.-]*")
+# Last parts of names of tensors that only training uses: what DINOv2 and CroCo put in place of hidden patches.
+_UNUSED = frozenset({"mask_token"})
 _LOADING = (
     OSError,
     ValueError,
@@ -165,33 +167,43 @@ def require_safetensors(path: Path, network: str) -> Path:
 
 
 def check_complete(model: Any, folder: Path) -> None:
-    """Refuse a folder that lacks much of a network: packages would leave the rest at random.
+    """Refuse a folder whose ``model.safetensors`` lacks tensors: packages leave those at random, and say nothing.
 
-    Loaders drop tensors that two parts share, so not every name has to be there.
+    A name may be missing where the network keeps the same tensor under another name that is there (files hold such
+    a tensor once), or where it is of a part that no prediction uses.
 
     Raises
     ------
     DataError
-        Where more than a tenth of the names are missing, or the file is damaged.
+        For any other missing name, and where the file is damaged.
     """
     from safetensors import SafetensorError, safe_open
 
-    names: set[str] = set()
+    file = folder / "model.safetensors"
     try:
-        for file in sorted(folder.glob("*.safetensors")):
-            with safe_open(file, framework="pt") as handle:
-                names |= set(handle.keys())
+        with safe_open(file, framework="pt") as handle:
+            names = set(handle.keys())
     except (OSError, SafetensorError) as error:
-        raise _damaged(folder, error) from error
-    own = list(model.state_dict())
-    missing = [name for name in own if name not in names]
-    if 10 * len(missing) > len(own):
+        raise _damaged(file, error) from error
+    own = model.state_dict()
+    present = {_memory(tensor) for name, tensor in own.items() if name in names}
+    missing = [
+        name
+        for name, tensor in own.items()
+        if name not in names and _memory(tensor) not in present and name.rpartition(".")[2] not in _UNUSED
+    ]
+    if missing:
         raise DataError(
-            f"The weights in {folder} are of another network",
+            f"The weights in {folder} are incomplete, or of another network",
             expected=f"{len(own)} tensors",
             found=f"{len(missing)} missing: " + ", ".join(missing[:3]),
             todo="Get its files again",
         )
+
+
+def _memory(tensor: Any) -> tuple[Any, ...]:
+    """Return where a tensor lies, and how: two names of one tensor have the same."""
+    return tensor.device, tensor.data_ptr(), tensor.dtype, tuple(tensor.shape), tensor.stride()
 
 
 def _damaged(path: Path, error: Exception) -> DataError:
