@@ -15,8 +15,9 @@ from toolkit.errors import Cancelled, DataError, RunError, SettingsError, StageE
 from toolkit.geometry.ellipsoid import geodetic_from_enu
 from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.progress import ProgressEvent
-from toolkit.samples.city import CitySample, CitySettings, dsm_places, make_city, open_city
+from toolkit.samples.city import CitySample, CitySettings, make_city, open_city
 from toolkit.samples.surfaces import sample_folder, true_depth, true_surface
+from toolkit.scene.dsm_files import enu_from_map, write_dsm
 from toolkit.scene.folder import read_scene
 from toolkit.scene.raster_io import open_raster
 from toolkit.scene.rpc_files import read_rpc
@@ -131,14 +132,13 @@ def test_what_is_read_back_is_the_same_to_the_bit(made: CitySample) -> None:
 
 
 def test_the_true_surface_is_what_rays_from_above_meet(made: CitySample) -> None:
-    mesh = true_surface(made.folder)
+    mesh, model = true_surface(made.folder), made.dsm
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    grid = dsm_places(SMALL)
-    assert made.dsm.shape == grid.shape[:2] == (80, 80)
-    np.testing.assert_allclose(grid[0, 0], [-19.75, 19.75])
+    assert model.heights.shape == (80, 80)
+    east, north = model.centres()
     random = np.random.default_rng(0)
     for row, column in random.integers(0, 80, (60, 2)):
-        place = grid[row, column]
+        place = enu_from_map([[east[column], north[row], made.origin[2]]], made.origin, model.crs)[0, :2]
         # In double precision, by the signs of the areas that the place spans with each triangle's sides.
         area = [_spanned(q[:, :2] - p[:, :2], place - p[:, :2]) for p, q in ((b, c), (c, a), (a, b))]
         total = sum(area)
@@ -146,36 +146,32 @@ def test_the_true_surface_is_what_rays_from_above_meet(made: CitySample) -> None
         over = over[np.abs(total[over]) > 1e-9]
         share = np.stack([part[over] for part in area], axis=1) / total[over, None]
         highest = np.max(np.sum(share * np.stack([a[over, 2], b[over, 2], c[over, 2]], axis=1), axis=1))
-        # Single precision within 150 m.
-        assert made.dsm[row, column] == pytest.approx(highest, abs=1e-3)
+        # Within 28 m of the origin the ellipsoid falls by less than 0.1 mm. Single precision within 150 m.
+        assert model.heights[row, column] - made.origin[2] == pytest.approx(highest, abs=1e-3)
+        assert made.city.surface_height(place[None])[0] == pytest.approx(highest, abs=1e-3)
 
 
-def test_the_map_of_the_surface_is_utm_and_the_same_surface(made: CitySample) -> None:
+def test_the_map_of_the_surface_is_utm_around_the_middle(made: CitySample) -> None:
     import pyproj
 
     with open_raster(made.dsm_map) as dataset:
-        heights, crs, transform = dataset.read(1), dataset.crs, dataset.transform
+        crs, transform, nodata = dataset.crs, dataset.transform, dataset.nodata
     assert crs.to_epsg() == 32617
     assert (transform.a, transform.e) == (0.5, -0.5)
     assert (transform.c % 0.5, transform.f % 0.5) == (0, 0)
-    # Where the surface is level around a place of the grid, the map's nearest cell has the same height.
-    to_map = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32617", always_xy=True)
-    grid = dsm_places(SMALL)
-    level = [
-        (i, j) for i in range(6, 74) for j in range(6, 74) if np.ptp(made.dsm[i - 1 : i + 2, j - 1 : j + 2]) < 0.03
-    ]
-    assert len(level) > 200
-    xyz = np.array([[*grid[i, j], made.dsm[i, j]] for i, j in level])
-    geodetic = geodetic_from_enu(xyz, made.origin)
-    east, north = to_map.transform(geodetic[:, 1], geodetic[:, 0])
-    row = np.floor((transform.f - np.array(north)) / 0.5).astype(int)
-    column = np.floor((np.array(east) - transform.c) / 0.5).astype(int)
-    assert np.abs(heights[row, column] - geodetic[:, 2]).max() < 0.05
+    assert np.isnan(nodata)
+    # The middle of the map is that of the city to within a cell.
+    utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32617", always_xy=True)
+    east, north = utm.transform(made.origin[1], made.origin[0])
+    assert 0 <= east - (transform.c + 20) < 0.5
+    assert 0 <= north - (transform.f - 20) < 0.5
 
 
 def test_pictures_rpcs_and_surface_fit_together(made: CitySample) -> None:
     # The surface's places coloured by two pictures agree best where the true RPCs say, not half a pixel beside.
-    grid = np.concatenate([dsm_places(SMALL), made.dsm[..., None]], axis=2)[10:-10, 10:-10].reshape(-1, 3)
+    axis = np.arange(-14.75, 15, 0.5)
+    plane = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    grid = np.column_stack([plane, made.city.surface_height(plane)])
     start = grid + np.array([0.0, 0.0, 0.05])
     lit, greens = np.ones(len(grid), bool), []
     for i, view in enumerate(made.views):
@@ -284,7 +280,7 @@ def test_what_is_no_city_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_damage_is_told(made: CitySample, tmp_path: Path, name: str, change: object, said: str) -> None:
-    for path in ("sample.json", "truth/views.json", "truth/dsm.npy", "truth/dsm.tif"):
+    for path in ("sample.json", "truth/views.json", "truth/dsm.tif"):
         (tmp_path / path).parent.mkdir(exist_ok=True)
         (tmp_path / path).write_bytes((made.folder / path).read_bytes())
     if isinstance(change, dict):
@@ -295,13 +291,14 @@ def test_damage_is_told(made: CitySample, tmp_path: Path, name: str, change: obj
 
 
 def test_a_damaged_surface_is_told(made: CitySample, tmp_path: Path) -> None:
-    (tmp_path / "truth").mkdir()
     copy = CitySample(tmp_path, made.settings, made.seed, made.views)
-    with pytest.raises(DataError, match=r"Cannot read .*dsm.npy; expected an array"):
+    path = tmp_path / "truth/dsm.tif"
+    with pytest.raises(DataError, match=r"dsm.tif is missing"):
         _ = copy.dsm
-    (tmp_path / "truth/dsm.npy").write_bytes(b"none")
-    with pytest.raises(DataError, match=r"Cannot read .*dsm.npy; expected an array"):
+    path.parent.mkdir()
+    path.write_bytes(b"none")
+    with pytest.raises(DataError, match=r"dsm.tif is cut off, damaged or neither GeoTIFF nor NITF"):
         _ = copy.dsm
-    np.save(tmp_path / "truth/dsm.npy", np.zeros((3, 4)))
-    with pytest.raises(DataError, match="is not this city's; expected 80 x 80 float32; found 3 x 4 float64"):
+    write_dsm(path, np.zeros((3, 4)), (0.0, 0.0), 0.5, "EPSG:32617")
+    with pytest.raises(DataError, match=r"dsm.tif is not this city's; expected 80 x 80 cells; found 3 x 4"):
         _ = copy.dsm

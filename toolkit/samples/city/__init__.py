@@ -1,7 +1,7 @@
 """A procedural city seen from orbit: line cameras, fitted RPCs with a bias, suns, air, and the true surface."""
 
 from toolkit.samples.city.make import make_city, open_city
-from toolkit.samples.city.sample import CitySample, CityView, dsm_places
+from toolkit.samples.city.sample import CitySample, CityView
 from toolkit.samples.city.settings import CitySettings, ImagerSettings, OrbitSettings, PlanSettings
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "ImagerSettings",
     "OrbitSettings",
     "PlanSettings",
-    "dsm_places",
     "make_city",
     "open_city",
 ]

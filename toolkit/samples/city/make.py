@@ -11,7 +11,6 @@ from PIL import Image
 from toolkit.errors import DataError, SettingsError, StageError, ToolkitError
 from toolkit.files import atomic_folder, read_json, write_json
 from toolkit.geometry.ellipsoid import geodetic_from_enu
-from toolkit.geometry.geodesy import enu_from_geodetic
 from toolkit.geometry.rpc_fit import RpcFit, fit_rpc
 from toolkit.optional import require
 from toolkit.progress import Progress, silent, track
@@ -22,18 +21,17 @@ from toolkit.samples.city.render import render
 from toolkit.samples.city.sample import (
     DELIVERED,
     DSM,
-    DSM_MAP,
     ORIGIN,
     RECORD,
     VIEWS,
     CitySample,
     CityView,
-    dsm_places,
     picture_size,
     rigorous_cameras,
     view_angles,
 )
 from toolkit.samples.city.settings import CitySettings
+from toolkit.scene.dsm_files import enu_from_map, map_from_enu, utm_crs, write_dsm
 from toolkit.scene.folder import write_scene
 from toolkit.scene.raster import Raster, stretched
 from toolkit.scene.raster_io import write_raster
@@ -53,11 +51,10 @@ def make_city(folder: Path, settings: CitySettings, *, seed: int = 0, progress: 
     The folder holds ``satellite/``, the pictures as delivered: GeoTIFFs of 11-bit counts in 16 bits, as such
     sensors give them (in 8 bits shadows would have a dozen greys), with an RPC, time and sun in their tags;
     ``images/``, the same stretched to 8 bits band by band, for everything that takes no more; the scene of those
-    with the RPCs as delivered (``scene.json``); ``truth/`` with
-    ``views.json`` (each view's RPC and its bias, directions of satellite and sun, radiometry), ``dsm.npy`` (metres
-    up, of the highest surface at the middles of cells) and ``dsm.tif`` (the same in UTM, heights above the
-    ellipsoid); and ``sample.json``. It appears whole or not at all. The same settings and seed give the same
-    pictures on the same machine. Everything stands still from one pass to the next, parked cars too.
+    with the RPCs as delivered (``scene.json``); ``truth/`` with ``views.json`` (each view's RPC and its bias,
+    directions of satellite and sun, radiometry) and ``dsm.tif`` (the highest surface at the middles of UTM cells,
+    metres above the ellipsoid); and ``sample.json``. It appears whole or not at all. The same settings and seed
+    give the same pictures on the same machine. Everything stands still from one pass to the next, parked cars too.
 
     Raises
     ------
@@ -99,7 +96,7 @@ def make_city(folder: Path, settings: CitySettings, *, seed: int = 0, progress: 
         )
         write_json(temporary / VIEWS, [view.to_dict() for view in views])
         write_scene(CitySample(temporary, settings, seed, views).scene, temporary)
-        _write_surface(temporary, city)
+        _write_surface(temporary / DSM, city)
         write_json(temporary / RECORD, record)
     return open_city(folder)
 
@@ -112,12 +109,12 @@ def open_city(folder: Path) -> CitySample:
     DataError
         Where it is none, or damaged.
     """
-    missing = [name for name in (RECORD, VIEWS, DSM, DSM_MAP) if not (folder / name).is_file()]
+    missing = [name for name in (RECORD, VIEWS, DSM) if not (folder / name).is_file()]
     record = None if missing else read_json(folder / RECORD)
     if not isinstance(record, dict) or record.get("kind") != "city":
         raise DataError(
             f"{folder} is no city seen from orbit",
-            expected=f"{RECORD} of a city, {VIEWS}, {DSM} and {DSM_MAP}",
+            expected=f"{RECORD} of a city, {VIEWS} and {DSM}",
             found=f"no {' and no '.join(missing)}" if missing else f"{RECORD} of something else",
             todo="Make it again in a new folder",
         )
@@ -192,36 +189,18 @@ def _take(folder: Path, city: City, camera: PushbroomCamera, number: int, seed: 
     )
 
 
-def _write_surface(folder: Path, city: City) -> None:
-    """Write the true surface on the world's grid, and as a map in UTM."""
-    places = dsm_places(city.settings)
-    heights = city.surface_height(places.reshape(-1, 2)).reshape(places.shape[:2])
-    np.save(folder / DSM, heights.astype(np.float32))
-    rasterio, pyproj = require("rasterio"), require("pyproj")
+def _write_surface(path: Path, city: City) -> None:
+    """Write the true surface as a map in UTM: the highest surface at the middles of cells, above the ellipsoid."""
     origin = (ORIGIN.latitude, ORIGIN.longitude, ORIGIN.altitude)
-    zone = pyproj.CRS.from_epsg((32600 if origin[0] >= 0 else 32700) + int((origin[1] + 180) // 6) + 1)
-    utm = pyproj.Transformer.from_crs("EPSG:4326", zone, always_xy=True)
+    crs = utm_crs(*origin[:2])
     side, step = picture_size(city.settings), city.settings.imager.ground_sampling
     # The map's corner is a whole number of cells, as maps have it.
-    middle = np.array(utm.transform(origin[1], origin[0]))
+    middle = map_from_enu([[0.0, 0.0, 0.0]], origin, crs)[0, :2]
     left, bottom = np.floor((middle - side * step / 2) / step) * step
     top = bottom + side * step
     along = (np.arange(side) + 0.5) * step
     east, north = np.meshgrid(left + along, top - along)
-    longitude, latitude = utm.transform(east.ravel(), north.ravel(), direction="INVERSE")
-    geodetic = np.column_stack([latitude, longitude, np.full(side * side, origin[2])])
-    plane = enu_from_geodetic(geodetic, origin)[:, :2]
-    above = geodetic_from_enu(np.column_stack([plane, city.surface_height(plane)]), origin)[:, 2]
-    with rasterio.open(
-        folder / DSM_MAP,
-        "w",
-        driver="GTiff",
-        width=side,
-        height=side,
-        count=1,
-        dtype="float32",
-        crs=zone.to_wkt(),
-        transform=rasterio.Affine(step, 0.0, float(left), 0.0, -step, float(top)),
-        compress="deflate",
-    ) as dataset:
-        dataset.write(above.reshape(side, side).astype(np.float32), 1)
+    cells = np.stack([east, north, np.full_like(east, origin[2])], axis=-1)
+    plane = enu_from_map(cells, origin, crs)[:, :2]
+    heights = map_from_enu(np.column_stack([plane, city.surface_height(plane)]), origin, crs)[:, 2]
+    write_dsm(path, heights.reshape(side, side), (float(left), float(top)), step, crs)

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.ellipsoid import RADIUS
 from toolkit.geometry.ray_casting import MeshCaster
 from toolkit.geometry.surface import Mesh
-from toolkit.samples.city.orbit import EQUATOR_RADIUS
 from toolkit.samples.city.plan import CityPlan, plan_city
 from toolkit.samples.city.settings import CitySettings
 from toolkit.samples.city.shapes import RaisedBuilder, add_city
@@ -22,31 +22,6 @@ Array = NDArray[np.float64]
 _PLAN, _NOISE, _SHAPES = range(3)  # streams of random numbers, so that one does not shift another
 _SKY_STEP = 2.0  # metres
 _SKY_RAYS = 24
-
-
-class CityCaster(MeshCaster):
-    """Casts rays that each start at a place of their own, and says which triangles they met."""
-
-    def first(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.int64]]:
-        """Return how far rays (N, 3) get in lengths of their directions, or infinity, and the triangles, or -1.
-
-        Origins must be near the surface: the cast is in single precision, in which a place in orbit is rounded to
-        a few centimetres and the crossing then lies anywhere within a decimetre.
-        """
-        answer = self._scene.cast_rays(self._rays(origins, directions))
-        triangle = answer["primitive_ids"].numpy().astype(np.int64)
-        distance = answer["t_hit"].numpy().astype(np.float64)
-        return distance, np.where(np.isfinite(distance), triangle, -1)
-
-    def blocked(self, origins: Array, directions: Array) -> NDArray[np.bool_]:
-        """Return (N,) whether rays (N, 3) meet anything."""
-        found: NDArray[np.bool_] = self._scene.test_occlusions(self._rays(origins, directions)).numpy()
-        return found
-
-    def _rays(self, origins: Array, directions: Array) -> object:
-        rays = np.empty((len(origins), 6), np.float32)
-        rays[:, :3], rays[:, 3:] = origins - self._middle, directions
-        return self._o3d.core.Tensor(rays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +45,9 @@ class City:
         return Mesh(self.faces.vertices.astype(np.float64), self.faces.triangles.astype(np.int32))
 
     @cached_property
-    def caster(self) -> CityCaster:
+    def caster(self) -> MeshCaster:
         """Casts against :attr:`mesh`."""
-        return CityCaster(self.mesh)
+        return MeshCaster(self.mesh)
 
     @cached_property
     def heights(self) -> tuple[float, float]:
@@ -120,10 +95,10 @@ class City:
 
 def reach(settings: CitySettings) -> float:
     """Return how many metres from the middle the most slanted picture may see, so far is built."""
-    radius = EQUATOR_RADIUS + 1000 * settings.orbit.altitude
+    radius = RADIUS + 1000 * settings.orbit.altitude
     tilt = np.radians(settings.orbit.off_nadir)
-    slant = np.arcsin(radius / EQUATOR_RADIUS * np.sin(tilt))
-    distance = EQUATOR_RADIUS * np.sin(slant - tilt) / np.sin(tilt)
+    slant = np.arcsin(radius / RADIUS * np.sin(tilt))
+    distance = RADIUS * np.sin(slant - tilt) / np.sin(tilt)
     wide = 0.5 * settings.plan.size * distance / (1000 * settings.orbit.altitude)
     return float(1.02 * np.hypot(wide, wide / np.cos(slant)) + (settings.plan.tallest + 10) * np.tan(slant) + 4)
 

@@ -8,12 +8,12 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.geometry.ellipsoid import RADIUS
 from toolkit.geometry.geodesy import Origin, ecef_from_geodetic
 from toolkit.samples.city.settings import OrbitSettings
 
 Array = NDArray[np.float64]
 
-EQUATOR_RADIUS = 6378137.0
 _GRAVITY = 3.986004418e14  # m^3 / s^2, WGS84
 _EARTH_TURN = 7.292115e-5  # radians a second, WGS84
 _LEAST_OFF_NADIR = 0.1  # of the largest one
@@ -72,7 +72,7 @@ def plan_passes(settings: OrbitSettings, origin: Origin, rng: np.random.Generato
 
 def _pass(settings: OrbitSettings, origin: Origin, tilt: float, bearing: float, day: int) -> Pass:
     """Return the southbound pass that is seen ``tilt`` off the nadir; ``bearing`` is 0 where it has flown past."""
-    radius = EQUATOR_RADIUS + 1000 * settings.altitude
+    radius = RADIUS + 1000 * settings.altitude
     place = ecef_from_geodetic([origin])[0]
     ground = float(np.linalg.norm(place))
     target = place / ground

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from toolkit.errors import StageError
+from toolkit.geometry.ellipsoid import enu_axes
 from toolkit.geometry.geodesy import Origin, ecef_from_geodetic
 from toolkit.samples.city.orbit import Pass
 
@@ -68,10 +69,7 @@ class PushbroomCamera:
     @cached_property
     def _local(self) -> tuple[Array, Array]:
         """The origin in earth-centred metres, and the rows east, north and up."""
-        phi, lam = np.radians(self.origin[:2])
-        east = np.array([-np.sin(lam), np.cos(lam), 0.0])
-        up = np.array([np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)])
-        return ecef_from_geodetic([self.origin])[0], np.stack([east, np.cross(up, east), up])
+        return ecef_from_geodetic([self.origin])[0], enu_axes(*self.origin[:2])[0]
 
     def satellite(self, y: ArrayLike) -> Array:
         """Return where the satellite is (N, 3) as lines ``y`` (N,) are taken."""

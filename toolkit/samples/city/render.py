@@ -13,7 +13,7 @@ from toolkit.samples.city.pushbroom import PushbroomCamera
 from toolkit.samples.town import materials
 from toolkit.samples.town.builder import Material
 from toolkit.samples.town.noise import F32, Noise
-from toolkit.samples.town.surface import Look, Patch
+from toolkit.samples.town.surface import Look, Patch, patch_of
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,7 @@ _DEPTH = np.array([0.10, 0.14, 0.21], np.float32)  # optical depth of the air fo
 _SKY = np.array([0.24, 0.29, 0.37], np.float32)
 _BOUNCE = np.array([0.22, 0.20, 0.17], np.float32)  # light that comes back from the ground
 _LIFT = 0.01  # metres by which rays start above the surface that they leave
+_SAMPLES = 2  # rays of a pixel along each of its sides
 _STRIP = 32  # lines at a time, so that what belongs to their rays stays in the processor's cache
 
 _MATERIALS: dict[Material, Callable[[Noise, Patch], Look]] = {
@@ -35,33 +36,26 @@ _MATERIALS: dict[Material, Callable[[Noise, Patch], Look]] = {
 }
 
 
-def render(city: City, camera: PushbroomCamera, sun: Array, *, samples: int = 2) -> F32:
+def render(city: City, camera: PushbroomCamera, sun: Array) -> F32:
     """Return the light (H, W, 3) float32 that reaches each pixel from the ground, without that of the air between.
 
-    Every pixel is the mean of ``samples`` x ``samples`` rays; 1 is about a white plane that faces the sun. Surfaces
-    reflect by Lambert's law the sun, weakened by the air on its slanted way and blocked by what stands before it,
-    the part of the sky that they see, and some light from the ground.
+    Every pixel is the mean of 2 x 2 rays; light 1 is about a white plane that faces the sun. Surfaces reflect by
+    Lambert's law the sun, weakened by the air on its slanted way and blocked by what stands before it, the part of
+    the sky that they see, and some light from the ground.
 
     Parameters
     ----------
     sun:
         (3,) unit vector towards the sun.
-
-    Raises
-    ------
-    ValueError
-        For fewer than one sample.
     """
-    if samples < 1:
-        raise ValueError(f"expected at least 1 sample a pixel, got {samples}")
     image = np.empty((camera.height, camera.width, 3), np.float32)
-    at = (np.arange(samples) + 0.5) / samples
+    at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     x = (np.arange(camera.width)[:, None] + at).reshape(-1)
     for first in range(0, camera.height, _STRIP):
         lines = np.arange(first, min(first + _STRIP, camera.height))
         y = (lines[:, None] + at).reshape(-1)
         light = _strip(city, camera, sun, x, y)
-        image[lines] = light.reshape(len(lines), samples, camera.width, samples, 3).mean(axis=(1, 3))
+        image[lines] = light.reshape(len(lines), _SAMPLES, camera.width, _SAMPLES, 3).mean(axis=(1, 3))
     return image
 
 
@@ -122,18 +116,7 @@ def _look(
     bent = normals.astype(np.float32)
     for kind in np.unique(material):
         rows = np.flatnonzero(material == kind)
-        of = face[rows]
-        offset = points[rows] - faces.origin[of]
-        patch = Patch(
-            u=np.einsum("ij,ij->i", offset, faces.u_axis[of]).astype(np.float32),
-            v=np.einsum("ij,ij->i", offset, faces.v_axis[of]).astype(np.float32),
-            footprint=footprint[rows],
-            colour=faces.colour[of],
-            style=faces.style[of],
-            face=of,
-            point=points[rows],
-            normal=normals[rows],
-        )
+        patch = patch_of(faces, face[rows], points[rows], normals[rows], footprint[rows])
         if kind == Material.GROUND:
             look = ground(city.plan, city.noise, patch)
         else:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError
+from toolkit.geometry.ellipsoid import enu_axes
 from toolkit.geometry.geodesy import Origin, geodetic_from_ecef
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.geometry.rpc import Rpc
@@ -24,6 +25,7 @@ from toolkit.samples.city.pushbroom import PushbroomCamera
 from toolkit.samples.city.settings import CitySettings
 from toolkit.samples.city.sun import sun_angles
 from toolkit.scene import Frame, Georeference, Scene
+from toolkit.scene.dsm_files import SurfaceModel, read_dsm
 from toolkit.scene.rpc_fields import fields_from_rpc, rpc_from_fields
 
 Array = NDArray[np.float64]
@@ -31,7 +33,7 @@ Array = NDArray[np.float64]
 ORIGIN = Georeference(latitude=30.3, longitude=-81.7, altitude=-22.0)
 """Where the middle of the city is said to lie: in Jacksonville, where the paper's DFC2019 pictures were taken."""
 
-RECORD, VIEWS, DSM, DSM_MAP = "sample.json", "truth/views.json", "truth/dsm.npy", "truth/dsm.tif"
+RECORD, VIEWS, DSM = "sample.json", "truth/views.json", "truth/dsm.tif"
 DELIVERED = "satellite"
 """Folder of the pictures as a satellite's owner delivers them."""
 
@@ -175,27 +177,26 @@ class CitySample:
         )
         return Scene(self.folder / "images", cameras, frames, georeference=ORIGIN)
 
-    @cached_property
-    def dsm(self) -> NDArray[np.float32]:
-        """(G, G) metres up of the highest surface at the middles of cells of :func:`dsm_places`."""
-        try:
-            with (self.folder / DSM).open("rb") as handle:
-                heights = np.load(handle, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise DataError(f"Cannot read {self.folder / DSM}", expected="an array", found=str(error)) from error
-        side = picture_size(self.settings)
-        if heights.shape != (side, side) or heights.dtype != np.float32:
-            raise DataError(
-                f"{self.folder / DSM} is not this city's",
-                expected=f"{side} x {side} float32",
-                found=f"{' x '.join(map(str, heights.shape))} {heights.dtype}",
-            )
-        return np.asarray(heights)
-
     @property
     def dsm_map(self) -> Path:
-        """The same surface as a GeoTIFF in UTM, heights above the ellipsoid."""
-        return self.folder / DSM_MAP
+        """The file of the true surface: a GeoTIFF in UTM, heights above the ellipsoid."""
+        return self.folder / DSM
+
+    @cached_property
+    def dsm(self) -> SurfaceModel:
+        """The true surface: heights above the ellipsoid of the highest places at the middles of UTM cells.
+
+        The same without cells, in the world's metres, is :attr:`city`: ``city.surface_height(places)``.
+        """
+        model = read_dsm(self.dsm_map)
+        side = picture_size(self.settings)
+        if model.heights.shape != (side, side):
+            raise DataError(
+                f"{self.dsm_map} is not this city's",
+                expected=f"{side} x {side} cells",
+                found=" x ".join(map(str, model.heights.shape)),
+            )
+        return model
 
     def delivered(self, i: int) -> Path:
         """Return the path of picture ``i`` as delivered: GeoTIFF, 11 bits, with the biased RPC in its tags."""
@@ -217,13 +218,6 @@ def picture_size(settings: CitySettings) -> int:
     return max(1, round(settings.plan.size / settings.imager.ground_sampling))
 
 
-def dsm_places(settings: CitySettings) -> Array:
-    """Return the middles (G, G, 2), east and north, of the cells of the true surface; row 0 is the northernmost."""
-    side, step = picture_size(settings), settings.imager.ground_sampling
-    along = (np.arange(side) + 0.5 - side / 2) * step
-    return np.stack(np.meshgrid(along, -along), axis=-1)
-
-
 def rigorous_cameras(settings: CitySettings, seed: int) -> tuple[PushbroomCamera, ...]:
     """Return the rigorous cameras of the pictures of a city, in order of time."""
     origin = (ORIGIN.latitude, ORIGIN.longitude, ORIGIN.altitude)
@@ -238,8 +232,7 @@ def view_angles(camera: PushbroomCamera) -> dict[str, Any]:
     middle = camera.satellite([0.5 * camera.height])[0]
     satellite = middle / np.linalg.norm(middle)
     place = camera.orbit.position(np.zeros(1))
-    phi, lam = np.radians(geodetic_from_ecef(place)[0, :2])
-    normal = np.array([np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)])
+    normal = enu_axes(*geodetic_from_ecef(place)[0, :2])[0, 2]
     back = camera.earth_centred(satellite[None])[0]
     azimuth, elevation = sun_angles(camera.orbit.time, *camera.origin[:2])
     return {

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from toolkit.samples.city.plan import CityPlan
 from toolkit.samples.town.builder import Material, MeshBuilder
 from toolkit.samples.town.layout import Box, Building, Tree
-from toolkit.samples.town.meshes import BRICKS, WALLS, add_building, facade_style
+from toolkit.samples.town.meshes import BRICKS, WALLS, add_building, building_axes, facade_style, lift
 from toolkit.samples.town.noise import F32, Noise, linear
 
 Array = NDArray[np.float64]
@@ -113,10 +113,6 @@ def _footprint(building: Building, part: float) -> Array:
     return np.stack([building.to_plan(part * building.size * s) for s in signs])
 
 
-def _at(point: Array, height: float) -> Array:
-    return np.array([point[0], point[1], height])
-
-
 def _add_block(builder: MeshBuilder, building: Building, rng: np.random.Generator) -> None:
     """Add walls, a flat roof behind a parapet, and the services on it."""
     edge = _footprint(building, 0.5)
@@ -129,22 +125,20 @@ def _add_block(builder: MeshBuilder, building: Building, rng: np.random.Generato
         m = (k + 1) % 4
         width = float(np.linalg.norm(edge[m] - edge[k]))
         style = facade_style(building, width, door=k == 0, rng=rng)
-        builder.polygon(
-            material, [_at(edge[k], 0.0), _at(edge[m], 0.0), _at(edge[m], high), _at(edge[k], high)], wall, style
-        )
-        top = [_at(edge[k], high), _at(edge[m], high), _at(ledge[m], high), _at(ledge[k], high)]
+        outside = [lift(edge[k], 0.0), lift(edge[m], 0.0), lift(edge[m], high), lift(edge[k], high)]
+        builder.polygon(material, outside, wall, style)
+        top = [lift(edge[k], high), lift(edge[m], high), lift(ledge[m], high), lift(ledge[k], high)]
         builder.polygon(Material.STONE, top, _STONE)
-        inside = [_at(ledge[m], low), _at(ledge[k], low), _at(ledge[k], high), _at(ledge[m], high)]
+        inside = [lift(ledge[m], low), lift(ledge[k], low), lift(ledge[k], high), lift(ledge[m], high)]
         builder.polygon(Material.STONE, inside, _STONE * 0.8)
     colour = _ROOFS[building.roof_colour % len(_ROOFS)] * float(rng.uniform(0.8, 1.2))
-    builder.polygon(Material.FLAT_ROOF, [_at(corner, low) for corner in ledge], colour)
+    builder.polygon(Material.FLAT_ROOF, [lift(corner, low) for corner in ledge], colour)
     _add_services(builder, building, rng)
 
 
 def _add_services(builder: MeshBuilder, building: Building, rng: np.random.Generator) -> None:
     """Add a stair head, boxes of air conditioning in rows, ducts and roof lights; never over one another."""
-    cos, sin = np.cos(building.yaw), np.sin(building.yaw)
-    axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    axes = building_axes(building)
     room = building.size / 2 - 0.8
     taken: list[tuple[Array, Array]] = []
     kinds = [([1.6, 1.4, 1.3], Material.STONE, 0.0, _STONE)] * int(building.size.min() > 12)
@@ -161,7 +155,7 @@ def _add_services(builder: MeshBuilder, building: Building, rng: np.random.Gener
         if any(np.all(np.abs(spot - other) < size[:2] + reach + 0.2) for other, reach in taken):
             continue
         taken.append((spot, size[:2]))
-        middle = _at(building.to_plan(spot), building.eave + size[2])
+        middle = lift(building.to_plan(spot), building.eave + size[2])
         builder.box(material, middle, size, colour * float(rng.uniform(0.6, 1.25)), axes=axes, style=[style])
 
 

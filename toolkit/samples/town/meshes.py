@@ -59,7 +59,8 @@ def facade_style(building: Building, width: float, *, door: bool, rng: np.random
     return [bay, building.storey_height, window, height, finish, entrance, building.eave, accent]
 
 
-def _lift(point: Array, height: float) -> Array:
+def lift(point: Array, height: float) -> Array:
+    """Return (3,) a plan point (2,) at a height."""
     return np.array([point[0], point[1], height])
 
 
@@ -74,9 +75,9 @@ def _add_wall(
     rng: np.random.Generator,
 ) -> None:
     height = building.eave + (_PARAPET if building.roof == "flat" else 0.0)
-    outline = [_lift(a, 0.0), _lift(b, 0.0), _lift(b, height), _lift(a, height)]
+    outline = [lift(a, 0.0), lift(b, 0.0), lift(b, height), lift(a, height)]
     if gabled:
-        outline.insert(3, _lift((a + b) / 2, building.top))
+        outline.insert(3, lift((a + b) / 2, building.top))
     style = facade_style(building, float(np.linalg.norm(b - a)), door=door, rng=rng)
     palette = BRICKS if building.finish == "brick" else WALLS
     material = Material.GLASS if building.finish == "glass" else Material.FACADE
@@ -91,21 +92,23 @@ def _add_flat_roof(builder: MeshBuilder, building: Building, rng: np.random.Gene
     edge = [building.to_plan(outer * s) for s in signs]
     ledge = [building.to_plan(inner * s) for s in signs]
     low, high = building.eave, building.eave + _PARAPET
-    builder.polygon(Material.FLAT_ROOF, [_lift(p, low) for p in ledge], _GRAVEL * float(rng.uniform(0.6, 1.3)))
+    builder.polygon(Material.FLAT_ROOF, [lift(p, low) for p in ledge], _GRAVEL * float(rng.uniform(0.6, 1.3)))
     for k in range(4):
         m = (k + 1) % 4
-        top = [_lift(edge[k], high), _lift(edge[m], high), _lift(ledge[m], high), _lift(ledge[k], high)]
+        top = [lift(edge[k], high), lift(edge[m], high), lift(ledge[m], high), lift(ledge[k], high)]
         builder.polygon(Material.STONE, top, _STONE)
-        inside = [_lift(ledge[m], low), _lift(ledge[k], low), _lift(ledge[k], high), _lift(ledge[m], high)]
+        inside = [lift(ledge[m], low), lift(ledge[k], low), lift(ledge[k], high), lift(ledge[m], high)]
         builder.polygon(Material.STONE, inside, _STONE)
+    axes = building_axes(building)
     for _ in range(int(rng.integers(2, 5))):
         size = rng.uniform([0.5, 0.4, 0.3], [1.3, 1.0, 0.7])
         spot = building.to_plan(rng.uniform(-1, 1, 2) * (inner - size[:2] - 0.3).clip(0))
         colour = _GREY * float(rng.uniform(0.6, 1.4))
-        builder.box(Material.PAINT, _lift(spot, low + size[2]), size, colour, axes=_axes(building), style=[1.0])
+        builder.box(Material.PAINT, lift(spot, low + size[2]), size, colour, axes=axes, style=[1.0])
 
 
-def _axes(building: Building) -> Array:
+def building_axes(building: Building) -> Array:
+    """Return unit vectors (rows of 3 x 3) along a building's sides and up, in plan coordinates."""
     cos, sin = np.cos(building.yaw), np.sin(building.yaw)
     return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
@@ -122,7 +125,7 @@ def _add_pitched_roof(builder: MeshBuilder, building: Building, rng: np.random.G
 
     def place(along: float, across: float, height: float) -> Array:
         local = np.array([along, across]) if long_x else np.array([across, along])
-        return _lift(building.to_plan(local), height)
+        return lift(building.to_plan(local), height)
 
     colour = ROOFS[building.roof_colour % len(ROOFS)]
     solar = float(rng.random() < 0.3)

@@ -12,7 +12,7 @@ from toolkit.samples.town.builder import Material
 from toolkit.samples.town.ground import ground, shelter_at
 from toolkit.samples.town.model import Hits, Town
 from toolkit.samples.town.noise import F32, Noise
-from toolkit.samples.town.surface import Look, Patch
+from toolkit.samples.town.surface import Look, Patch, patch_of
 
 Array = NDArray[np.float64]
 
@@ -121,21 +121,9 @@ def _shade_material(
     lit: NDArray[np.bool_],
     reflections: bool,
 ) -> F32:
-    mesh = town.mesh
     normal = facing(town, hits, directions)
     point = origins + hits.distance[:, None] * directions
-    face = mesh.face[hits.triangle]
-    offset = point - mesh.origin[face]
-    patch = Patch(
-        u=np.einsum("ij,ij->i", offset, mesh.u_axis[face]).astype(np.float32),
-        v=np.einsum("ij,ij->i", offset, mesh.v_axis[face]).astype(np.float32),
-        footprint=footprint,
-        colour=mesh.colour[face],
-        style=mesh.style[face],
-        face=face,
-        point=point,
-        normal=normal,
-    )
+    patch = patch_of(town.mesh, town.mesh.face[hits.triangle], point, normal, footprint)
     if material == Material.GROUND:
         look = ground(town, patch)
         open_sky = 1.0 - shelter_at(town, patch)

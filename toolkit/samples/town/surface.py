@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.samples.town.builder import Mesh
 from toolkit.samples.town.noise import F32
 
 Array = NDArray[np.float64]
@@ -61,3 +62,18 @@ class Look:
     albedo: F32
     mirror: F32 | None = None
     roughness: F32 | None = None
+
+
+def patch_of(mesh: Mesh, face: NDArray[np.int32], point: Array, normal: Array, footprint: F32) -> Patch:
+    """Return points (N, 3) of a mesh's faces (N,) as the materials take them; the rest is as in :class:`Patch`."""
+    offset = point - mesh.origin[face]
+    return Patch(
+        u=np.einsum("ij,ij->i", offset, mesh.u_axis[face]).astype(np.float32),
+        v=np.einsum("ij,ij->i", offset, mesh.v_axis[face]).astype(np.float32),
+        footprint=footprint,
+        colour=mesh.colour[face],
+        style=mesh.style[face],
+        face=face,
+        point=point,
+        normal=normal,
+    )
