@@ -37,6 +37,14 @@ def test_a_map_holds_the_same_heights_above_the_ellipsoid() -> None:
     assert known.mean() == pytest.approx(100 + slope().mean(), abs=0.05)
 
 
+def test_the_ellipsoid_falls_away_from_the_plane_of_the_origin() -> None:
+    far = GroundGrid(2990.0, 2010.0, 1.0, 20, 20)
+    model = surface_model(np.full((20, 20), 7.0), far, PLACE)
+    fall = (3000.0**2 + 2000.0**2) / (2 * 6.37e6)  # 1.02 m; radii of curvature differ by half a percent here
+    known = model.heights[np.isfinite(model.heights)]
+    np.testing.assert_allclose(known, 107.0 + fall, atol=0.02)
+
+
 def test_nothing_known_is_told() -> None:
     with pytest.raises(StageError, match="No height is known"):
         surface_model(np.full((60, 80), np.nan), GRID, PLACE)

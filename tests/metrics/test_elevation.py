@@ -68,3 +68,12 @@ def test_maps_that_do_not_fit_are_told() -> None:
         compare_heights(np.zeros((3, 4)), np.zeros((4, 3)), 1.0)
     with pytest.raises(StageError, match="nothing in common.*found 0 of 400"):
         compare_heights(np.full((20, 20), np.nan), np.zeros((20, 20)), 1.0)
+
+
+def test_a_strip_that_a_shift_would_leave_is_not_moved_by_parts_of_cells() -> None:
+    truth = np.full((60, 60), np.nan)
+    truth[:, 28:30] = town()[:60, 28:30]
+    # Shifts of two cells and more leave nothing in common; what is beside the best one has no cost to compare.
+    errors = compare_heights(truth.copy(), truth, 0.5, reach=2.0)
+    assert errors.mean_absolute == pytest.approx(0, abs=1e-9)
+    assert np.isfinite(errors.root_mean_square)

@@ -13,6 +13,7 @@ from fake_recipe import MakeRun
 from splat_recipe import MIDDLE, SPLAT_RECIPE, coloured_balls
 
 from toolkit.errors import DataError, RunError
+from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.runs.folder import RunFolder
@@ -128,12 +129,25 @@ def test_bent_lenses_are_told(run: RunFolder) -> None:
     )
 
 
-def test_without_poses_the_viewer_begins_before_the_splat(run: RunFolder) -> None:
-    changed(run, Scene.without_poses)
+def with_parallel_rays(scene: Scene) -> Scene:
+    return scene.replace(cameras={1: AffineCamera(48, 32, 8.0, 0.0, 8.0, 24.0, 16.0)})
+
+
+@pytest.mark.parametrize(
+    ("change", "remark"),
+    [
+        (Scene.without_poses, "The scene has no poses"),
+        (with_parallel_rays, "6 cameras are no perspective cameras and are not drawn"),
+    ],
+)
+def test_without_cameras_the_viewer_begins_before_the_splat(
+    run: RunFolder, change: Callable[[Scene], Scene], remark: str
+) -> None:
+    changed(run, change)
     splat = read_view(run)
     view = splat.scene
     assert view.cameras == ()
-    assert view.remarks[0].startswith("The scene has no poses")
+    assert remark in " ".join(view.remarks)
     home = view.home()
     seen = (
         RigidTransform.from_quaternion(home.rotation, home.position).inverse().apply(splat.gaussians.means.numpy())

@@ -84,5 +84,7 @@ def _resampled(
     east, north = np.meshgrid(*model.centres())
     flat = np.full(east.size, middle + georeference.altitude)
     places = enu_from_map(np.column_stack([east.ravel(), north.ravel(), flat]), origin, model.crs)
-    found = heights_at(heights, grid, places[:, :2]) + georeference.altitude
-    return found.reshape(model.heights.shape).astype(np.float32)
+    found = heights_at(heights, grid, places[:, :2])
+    # Up is a straight line at the origin, and the ellipsoid falls away from it: 0.3 m in 2 km.
+    above = map_from_enu(np.column_stack([places[:, :2], np.nan_to_num(found)]), origin, model.crs)[:, 2]
+    return np.where(np.isfinite(found), above, np.nan).reshape(model.heights.shape).astype(np.float32)

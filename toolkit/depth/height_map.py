@@ -154,7 +154,7 @@ def match_heights(
     _check(views, height_range)
     search = settings.search
     levels = range(max(1, min(search.levels, 1 + int(np.log2(max(min(grid.rows, grid.columns) / _LEAST_SIDE, 1))))))
-    again = search.iterations - 1
+    again = max(1, search.iterations - 1)
     rounds = sum(_rounds(search, level, levels) for level in levels)
     step = _Steps(progress, rounds + again * (bool(search.hidden_views) + bool(search.fine_radius)))
     planes: Array | None = None
@@ -184,7 +184,8 @@ def match_heights(
             todo="Look at the footprints; give the range of heights above the scene's origin",
         )
     heights = planes[..., 0].astype(np.float32)
-    confidence = np.clip(1 - cost, 0, 1).astype(np.float32)
+    leaning = search.slope_cost * np.abs(planes[..., 1:]).sum(axis=-1)
+    confidence = np.clip(1 - (cost - leaning), 0, 1).astype(np.float32)
     kept = trusted_heights(heights, confidence, settings.keep)
     filled = np.isnan(kept) if settings.keep.fill == "low" else np.zeros(kept.shape, bool)
     whole = fill_low(kept) if settings.keep.fill == "low" else kept
@@ -208,7 +209,7 @@ def _check(views: Sequence[GroundView], height_range: tuple[float, float]) -> No
 
 
 def _rounds(search: HeightSearchSettings, level: int, levels: range) -> int:
-    return int(search.iterations) + (_MORE_ROUNDS if level == levels[-1] else 0)
+    return search.iterations + (_MORE_ROUNDS if level == levels[-1] else 0)
 
 
 class _Steps:

@@ -9,7 +9,12 @@ class HeightSearchSettings(Settings):
     """Search for a height and a slope at each cell by propagation and random refinement."""
 
     levels = Integer(4, bounds=(1, 8), doc="Sizes of pictures and grid, each half the next, coarse to fine.")
-    iterations = Integer(3, bounds=(1, 20), doc="Rounds over all cells at each size; the smallest has three more.")
+    iterations = Integer(
+        3,
+        bounds=(1, 20),
+        doc="Rounds over all cells at each size: three more at the smallest, one less when hidden views are left "
+        "out and in the fine search.",
+    )
     radius = Integer(3, bounds=(1, 15), unit="cells", doc="Half the side of the window on the ground.")
     step = Integer(1, bounds=(1, 5), unit="cells", doc="Every how many cells of the window one is compared.")
     share = Number(

@@ -30,9 +30,7 @@ class ElevationErrors:
     east, north, up:
         Metres by which the found map was moved.
     mean_absolute, root_mean_square, median_absolute:
-        Of the differences, in metres.
-    median:
-        Of the signed differences: 0 after a registration in height.
+        Of the differences, in metres. Their own median is 0 where the map was moved in height: it is minus ``up``.
     spread:
         1.4826 times the median absolute deviation, in metres.
     completeness:
@@ -51,7 +49,6 @@ class ElevationErrors:
     mean_absolute: float
     root_mean_square: float
     median_absolute: float
-    median: float
     spread: float
     completeness: float
     threshold: float
@@ -94,15 +91,10 @@ def compare_heights(
     if found.shape != truth.shape or found.ndim != 2:
         raise StageError("Height maps differ in size", expected=str(truth.shape), found=str(found.shape))
     first, second = np.asarray(found, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    common = int((np.isfinite(first) & np.isfinite(second)).sum())
-    if common < _FEWEST:
-        raise StageError(
-            "Height maps have nothing in common",
-            expected=f"{_FEWEST} cells that both know at least",
-            found=f"{common} of {truth.size}",
-        )
+    _require_common(first, second)
     right, down = _shift(first, second, round(reach / resolution)) if reach > 0 else (0.0, 0.0)
     moved = _moved(first, right, down)
+    _require_common(moved, second)
     difference = moved - second
     known = np.isfinite(difference)
     up = -float(np.median(difference[known])) if move_up else 0.0
@@ -117,13 +109,22 @@ def compare_heights(
         mean_absolute=float(np.abs(values).mean()),
         root_mean_square=float(np.sqrt((values**2).mean())),
         median_absolute=float(np.median(np.abs(values))),
-        median=middle,
         spread=float(1.4826 * np.median(np.abs(values - middle))),
         completeness=float((np.abs(values) <= threshold).sum() / there.sum()),
         threshold=threshold,
-        known=float((known & there).sum() / there.sum()),
+        known=float(known.sum() / there.sum()),
         differences=difference,
     )
+
+
+def _require_common(found: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
+    common = int((np.isfinite(found) & np.isfinite(truth)).sum())
+    if common < _FEWEST:
+        raise StageError(
+            "Height maps have nothing in common",
+            expected=f"{_FEWEST} cells that both know at least",
+            found=f"{common} of {truth.size}",
+        )
 
 
 def _shift(found: NDArray[np.float64], truth: NDArray[np.float64], reach: int) -> tuple[float, float]:
@@ -142,18 +143,16 @@ def _shift(found: NDArray[np.float64], truth: NDArray[np.float64], reach: int) -
         if step == 1:
             break
         around, step = step, max(1, step // 3)
-    return tuple(  # type: ignore[return-value]
-        whole + _vertex([_disagreement(found, truth, *_beside(best, axis, k)) for k in (-1, 0, 1)])
-        for axis, whole in enumerate(best)
-    )
-
-
-def _beside(place: tuple[int, int], axis: int, by: int) -> tuple[int, int]:
-    return (place[0] + by, place[1]) if axis == 0 else (place[0], place[1] + by)
+    right, down = best
+    across = _vertex([_disagreement(found, truth, right + k, down) for k in (-1, 0, 1)])
+    along = _vertex([_disagreement(found, truth, right, down + k) for k in (-1, 0, 1)])
+    return right + across, down + along
 
 
 def _vertex(costs: list[float]) -> float:
-    """Return where the parabola through values at -1, 0 and 1 is least, within half a step."""
+    """Return where the parabola through values at -1, 0 and 1 is least, within half a step; 0 where one is none."""
+    if not np.isfinite(costs).all():
+        return 0.0
     before, here, after = costs
     bend = before - 2 * here + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend > 0 else 0.0

@@ -26,7 +26,9 @@ from toolkit.geometry.rpc_fit import LocalCamera, fit_affine_camera
 from toolkit.geometry.rpc_settings import RpcRefinementSettings
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Points, Scene
-from toolkit.scene.pictures import load_picture
+from toolkit.scene.pictures import load_mask, load_picture
+from toolkit.scene.raster import read_raster, stretched
+from toolkit.scene.raster_io import RASTER_ENDINGS
 from toolkit.scene.scene import Tracks
 
 Array = NDArray[np.float64]
@@ -81,8 +83,14 @@ def require_rpc_cameras(scene: Scene) -> tuple[RpcCamera, ...]:
 def pictures_to_match(scene: Scene, folder: Path, *, progress: Progress = silent) -> Scene:
     """Write satellite pictures as PNG of eight bits and return them as a scene that features can be found in.
 
-    Contrast is stretched to the whole range. The cameras of the new scene stand in while matching: pinholes of long
+    Contrast is stretched to the whole range. What holds no data (the collar of a turned picture) is masked, and so
+    is what the scene's masks leave out. The cameras of the new scene stand in while matching: pinholes of long
     focal length, which is not known, so that pairs are verified by fundamental matrices.
+
+    Parameters
+    ----------
+    folder:
+        For ``images/`` and, where something is masked, ``masks/``.
 
     Raises
     ------
@@ -91,17 +99,31 @@ def pictures_to_match(scene: Scene, folder: Path, *, progress: Progress = silent
     RunError
         When the disk is full or may not be written.
     """
-    cameras, frames = {}, []
+    cameras, frames, masked = {}, [], False
     for number, frame in enumerate(track(scene.frames, "satellite.pictures", progress), start=1):
         path = scene.image_path(frame)
-        picture = load_picture(path)
-        name = f"{Path(frame.name).with_suffix('')}.png"
-        with atomic_path(folder / name) as temporary:
-            Image.fromarray(picture).save(temporary, format="PNG")
+        seen = load_mask(scene, frame)
+        if path.suffix.lower() in RASTER_ENDINGS:
+            raster = read_raster(path)
+            picture = stretched(raster)
+            seen = raster.valid if seen is None else raster.valid & seen
+        else:
+            picture = load_picture(path)
         height, width = picture.shape[:2]
+        name = f"{Path(frame.name).with_suffix('')}.png"
+        _write_png(folder / "images" / name, picture)
+        if seen is not None and not seen.all():
+            _write_png(folder / "masks" / f"{name}.png", np.where(seen, 255, 0).astype(np.uint8))
+            masked = True
         cameras[number] = ColmapCamera.pinhole(width, height, _LONG * width)
         frames.append(dataclasses.replace(frame, name=name, camera_id=number, cam_from_world=None, prior=None))
-    return Scene(folder, cameras, tuple(frames))
+    masks = folder / "masks" if masked else None
+    return Scene(folder / "images", cameras, tuple(frames), mask_dir=masks)
+
+
+def _write_png(path: Path, picture: NDArray[np.uint8]) -> None:
+    with atomic_path(path) as temporary:
+        Image.fromarray(picture).save(temporary, format="PNG")
 
 
 def refine_satellite(scene: Scene, ties: Tracks, settings: RpcRefinementSettings) -> SatellitePoses:
@@ -141,7 +163,9 @@ def refine_satellite(scene: Scene, ties: Tracks, settings: RpcRefinementSettings
 
 
 def ground_box(scene: Scene, *, heights: tuple[float, float] | None = None, margin: float = 15.0) -> Array:
-    """Return the box (2, 3) of the ground that at least half of the views see, in metres of the scene's world.
+    """Return the box (2, 3) between the median edges of the views' footprints, in metres of the scene's world.
+
+    One picture that was cut elsewhere does not move it; a view need not see all of it.
 
     Parameters
     ----------
@@ -153,7 +177,7 @@ def ground_box(scene: Scene, *, heights: tuple[float, float] | None = None, marg
     Raises
     ------
     StageError
-        Where neither heights nor points are there, or no ground is seen by half of the views.
+        Where neither heights nor points are there, or the footprints lie apart.
     """
     cameras = require_rpc_cameras(scene)
     if heights is None:
@@ -168,7 +192,7 @@ def ground_box(scene: Scene, *, heights: tuple[float, float] | None = None, marg
     lower, upper = np.median(edges[:, 0], axis=0), np.median(edges[:, 1], axis=0)
     if not (lower < upper).all():
         raise StageError(
-            "No ground is seen by half of the views",
+            "The views' footprints lie apart",
             expected="pictures of one place",
             found=f"footprints from {edges[:, 0].min(axis=0)} to {edges[:, 1].max(axis=0)} m",
         )
@@ -181,13 +205,17 @@ def _footprint(camera: RpcCamera, height: float) -> Array:
     return camera.locate(corners, np.full(4, height))[:, :2]
 
 
-def with_affine_cameras(scene: Scene, box: Array) -> tuple[Scene, Sequence[LocalCamera]]:
+def with_affine_cameras(
+    scene: Scene, box: Array, pictures: Scene | None = None
+) -> tuple[Scene, Sequence[LocalCamera]]:
     """Return the scene with the affine camera that fits each RPC camera over a box, and how well it does.
 
     Parameters
     ----------
     box:
         (2, 3) lower and upper corner in metres of the scene's world.
+    pictures:
+        Of :func:`pictures_to_match`: the new scene has these pictures and masks in the place of the scene's own.
 
     Raises
     ------
@@ -195,9 +223,11 @@ def with_affine_cameras(scene: Scene, box: Array) -> tuple[Scene, Sequence[Local
         Where a frame has no RPC camera.
     """
     fitted = [fit_affine_camera(camera, box) for camera in require_rpc_cameras(scene)]
+    names = [frame.name for frame in (scene if pictures is None else pictures).frames]
     frames = tuple(
-        dataclasses.replace(frame, camera_id=i, cam_from_world=local.cam_from_world)
-        for i, (frame, local) in enumerate(zip(scene.frames, fitted, strict=True), start=1)
+        dataclasses.replace(frame, name=name, camera_id=i, cam_from_world=local.cam_from_world)
+        for i, (frame, name, local) in enumerate(zip(scene.frames, names, fitted, strict=True), start=1)
     )
     cameras = {i: local.camera for i, local in enumerate(fitted, start=1)}
-    return scene.replace(cameras=cameras, frames=frames), fitted
+    places = {} if pictures is None else {"image_dir": pictures.image_dir, "mask_dir": pictures.mask_dir}
+    return scene.replace(cameras=cameras, frames=frames, **places), fitted

@@ -33,11 +33,7 @@ def run(data: RecipeInput, settings: SatHeightsSettings, context: RecipeContext)
         gaussians=None,
         times=(*(stage.time for stage in stages), StageTime("measure", time.perf_counter() - start)),
         metrics={
-            "sfm.images": float(len(data.scene)),
-            "sfm.registered": float(found.refined.report["images"]),
-            "rpc.rms_before_px": found.refined.report["rms_before_px"],
-            "rpc.rms_px": found.refined.report["rms_px"],
-            "affine.rms_px": found.local.report["worst_rms_px"],
+            **found.metrics(),
             "heights.filled": heights.report["filled"],
             **metrics,
         },

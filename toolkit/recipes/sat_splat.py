@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 from toolkit.depth.height_fill import fill_low
 from toolkit.depth.height_map import HeightMap
 from toolkit.depth.height_settings import HeightSettings
-from toolkit.errors import StageError
+from toolkit.errors import CapabilityError, StageError
 from toolkit.metrics.lpips import Lpips
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult, StageTime
 from toolkit.recipes.satellite_measure import dsm_artifacts
 from toolkit.recipes.satellite_steps import SatelliteSettings, heights_stage, read_heights, satellite_stages
 from toolkit.recipes.steps import SCENE, PosedStages, train_flat
-from toolkit.scene import Points, Scene
+from toolkit.scene import Frame, Points, Scene
 from toolkit.scene.folder import read_scene
 from toolkit.scene.pictures import load_picture
 from toolkit.settings import Group, Integer, Settings
@@ -44,41 +45,46 @@ def run(data: RecipeInput, settings: SatSplatSettings, context: RecipeContext) -
     from toolkit.splat.elevation import splat_heights
 
     lpips = Lpips()
+    _require_cpu(settings, context)
     found = satellite_stages(data, settings.cameras, context)
     heights = heights_stage(found, settings.heights, context)
     made = read_heights(heights, found.box)
     local = read_scene(found.local.folder / SCENE)
     scene = local.replace(points=_start(made, local, settings.max_points, context.seed))
-    refined = found.refined.report
-    posed = PosedStages(
-        (*found.stages, heights),
-        {
-            "sfm.images": float(len(data.scene)),
-            "sfm.registered": float(len(scene.registered)),
-            "rpc.rms_before_px": refined["rms_before_px"],
-            "rpc.rms_px": refined["rms_px"],
-            "affine.rms_px": found.local.report["worst_rms_px"],
-        },
-    )
+    posed = PosedStages((*found.stages, heights), found.metrics())
     result = train_flat(
         RecipeInput(data.scene, None, data.fingerprint), posed, scene, scene, settings.train, context, lpips
     )
     assert result.gaussians is not None
     start = time.perf_counter()
     drawn = splat_heights(result.gaussians, made.grid, settings.train, device=context.device)
-    whole = fill_low(drawn) if settings.heights.keep.fill == "low" else drawn
-    metrics, report = dsm_artifacts(whole, made.grid, data.scene, context)
+    holes = np.isnan(drawn)
+    fills = settings.heights.keep.fill == "low"
+    metrics: dict[str, float | None] = {}
+    report: dict[str, Any] = {"reason": "the splat is nowhere opaque from above"}
+    if not holes.all():
+        metrics, report = dsm_artifacts(fill_low(drawn) if fills else drawn, made.grid, data.scene, context)
     measured = StageTime("measure heights", time.perf_counter() - start)
     return dataclasses.replace(
         result,
         times=(*result.times, measured),
-        metrics={**result.metrics, "heights.filled": float(np.isnan(drawn).mean()), **metrics},
+        metrics={**result.metrics, "heights.filled": float(fills * holes.mean()), **metrics},
         reports={**result.reports, "dsm": report},
     )
 
 
+def _require_cpu(settings: SatSplatSettings, context: RecipeContext) -> None:
+    """Refuse, before the work of minutes, what the training would refuse."""
+    if context.device != "cpu" or settings.train.backend == "cuda":
+        raise CapabilityError(
+            "Affine cameras are drawn on the CPU alone",
+            expected="device cpu, and train.backend cpu",
+            found=f"device {context.device}, train.backend {settings.train.backend}",
+        )
+
+
 def _start(made: HeightMap, scene: Scene, most: int, seed: int) -> Points:
-    """Return points on the heights that were found, chosen by chance, coloured by the picture from above."""
+    """Return points on the heights that were found, chosen by chance, coloured by the picture nearest to above."""
     rows, columns = np.nonzero(np.isfinite(made.heights) & ~made.filled)
     if not len(rows):
         raise StageError("No height was found", expected="cells on which views agree", found="filled ones")
@@ -90,18 +96,20 @@ def _start(made: HeightMap, scene: Scene, most: int, seed: int) -> Points:
 
 
 def _seen_from_above(xyz: NDArray[np.float64], scene: Scene) -> NDArray[np.uint8]:
-    def leaning(frame_number: int) -> float:
-        pose = frames[frame_number].cam_from_world
-        assert pose is not None
-        return float(pose.rotation[2, 2])  # -1: straight down
+    def leaning(frame: Frame) -> float:
+        assert frame.cam_from_world is not None
+        return float(frame.cam_from_world.rotation[2, 2])  # -1: straight down
 
-    frames = scene.of_split("train")
-    frame = frames[min(range(len(frames)), key=leaning)]
-    assert frame.cam_from_world is not None
-    picture = load_picture(scene.image_path(frame))
-    pixels = scene.camera_of(frame).project(frame.cam_from_world.apply(xyz))
-    column, row = np.clip(pixels.astype(int), 0, np.array(picture.shape[1::-1]) - 1).T
-    return picture[row, column]
+    colours = np.full((len(xyz), 3), 128, np.uint8)
+    # Those from straight above last, so that theirs stay.
+    for frame in sorted(scene.of_split("train"), key=leaning, reverse=True):
+        assert frame.cam_from_world is not None
+        picture = load_picture(scene.image_path(frame))
+        pixels = scene.camera_of(frame).project(frame.cam_from_world.apply(xyz))
+        inside = ((pixels >= 0) & (pixels < picture.shape[1::-1])).all(axis=1)
+        column, row = pixels[inside].astype(int).T
+        colours[inside] = picture[row, column]
+    return colours
 
 
 RECIPE = Recipe(

@@ -64,7 +64,7 @@ def dsm_artifacts(
         "dsm.rmse": errors.root_mean_square,
         "dsm.median_absolute": errors.median_absolute,
         "dsm.spread": errors.spread,
-        "dsm.completeness": errors.completeness,
+        "dsm.within_1m": errors.completeness,
         "dsm.known": errors.known,
     }
     return metrics, {**report, "truth": path.name, "errors": errors.to_dict(), "difference": DIFFERENCE_FILE}

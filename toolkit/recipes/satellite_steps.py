@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolkit import depth, poses
+from toolkit import depth, geometry, poses
 from toolkit import scene as scenes
 from toolkit.depth.height_map import GroundView, HeightMap, match_heights
 from toolkit.depth.height_settings import HeightSettings
@@ -26,9 +27,9 @@ from toolkit.poses.satellite import ground_box, pictures_to_match, refine_satell
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.cached import CachedStage, cached_stage
 from toolkit.recipes.steps import DATABASE, SCENE, features_and_matches
-from toolkit.scene import Points, Scene
+from toolkit.scene import Frame, Points, Scene
 from toolkit.scene.folder import read_scene, write_scene
-from toolkit.scene.pictures import load_grey, load_picture
+from toolkit.scene.pictures import load_grey, load_mask, load_picture
 from toolkit.settings import Group, Number, Settings
 
 HEIGHTS = "heights.npz"
@@ -67,12 +68,22 @@ class SatelliteStages:
     local: CachedStage
     box: NDArray[np.float64]
 
+    def metrics(self) -> dict[str, float | None]:
+        """Return how many views there are, and how well their cameras agree and are fitted."""
+        return {
+            "sfm.images": float(self.refined.report["images"]),
+            "sfm.registered": float(self.refined.report["images"]),
+            "rpc.rms_before_px": self.refined.report["rms_before_px"],
+            "rpc.rms_px": self.refined.report["rms_px"],
+            "affine.rms_px": self.local.report["worst_rms_px"],
+        }
+
 
 def satellite_stages(data: RecipeInput, settings: SatelliteSettings, context: RecipeContext) -> SatelliteStages:
     """Return the stages up to affine cameras that agree on the tie points.
 
-    Test pictures have their cameras corrected, too: without, no render could be compared with them. Their pixels
-    are not used for anything else.
+    Test pictures have their cameras corrected, too: without, no render could be compared with them. So tie points
+    lie in them, and the range of heights is that of all tie points; heights and splats are made of the others.
 
     Raises
     ------
@@ -97,28 +108,24 @@ def satellite_stages(data: RecipeInput, settings: SatelliteSettings, context: Re
         "refine",
         inputs={"matches": matches.output.key},
         settings=settings.refine,
-        code=(poses, scenes),
+        code=(geometry, poses, scenes),
         build=refined_into,
     )
     box = ground_box(read_scene(refined.folder / SCENE), margin=settings.margin)
 
     def local_into(folder: Path) -> dict[str, Any]:
-        scene, fitted = with_affine_cameras(read_scene(refined.folder / SCENE), box)
-        frames = tuple(
-            dataclasses.replace(frame, name=picture.name)
-            for frame, picture in zip(scene.frames, flat.frames, strict=True)
-        )
-        write_scene(scene.replace(image_dir=flat.image_dir, frames=frames), folder / SCENE)
-        each = {f.name: local.to_dict() for f, local in zip(frames, fitted, strict=True)}
+        scene, fitted = with_affine_cameras(read_scene(refined.folder / SCENE), box, flat)
+        write_scene(scene, folder / SCENE)
+        each = {f.name: local.to_dict() for f, local in zip(scene.frames, fitted, strict=True)}
         worst = max(local.rms_px for local in fitted)
-        return {"images": len(frames), "box": box.tolist(), "worst_rms_px": worst, "cameras": each}
+        return {"images": len(scene), "box": box.tolist(), "worst_rms_px": worst, "cameras": each}
 
     local = cached_stage(
         context,
         "affine",
         inputs={"refine": refined.output.key, "pictures": pictures.output.key, "box": box.tolist()},
         settings=None,
-        code=(poses, scenes),
+        code=(geometry, poses, scenes),
         build=local_into,
     )
     return SatelliteStages((pictures, features, matches, refined, local), refined, local, box)
@@ -127,7 +134,7 @@ def satellite_stages(data: RecipeInput, settings: SatelliteSettings, context: Re
 def _pictures(data: RecipeInput, context: RecipeContext) -> CachedStage:
     def pictures_into(folder: Path) -> dict[str, Any]:
         # Below the scene, so that it stays whole when the stage is renamed.
-        scene = pictures_to_match(data.scene, folder / SCENE / "images", progress=context.progress)
+        scene = pictures_to_match(data.scene, folder / SCENE, progress=context.progress)
         write_scene(scene, folder / SCENE)
         return {"images": len(scene)}
 
@@ -136,7 +143,7 @@ def _pictures(data: RecipeInput, context: RecipeContext) -> CachedStage:
         "pictures",
         inputs={"capture": data.fingerprint},
         settings=None,
-        code=(scenes,),
+        code=(poses, scenes),
         build=pictures_into,
     )
 
@@ -155,16 +162,26 @@ def _colours(points: Points, pictures: Scene) -> NDArray[np.uint8]:
     return colours
 
 
+def ground_views(scene: Scene, frames: Iterable[Frame]) -> list[GroundView]:
+    """Return frames with affine cameras as the matching of heights takes them; what is masked is NaN."""
+    views = []
+    for frame in frames:
+        camera, mask = scene.camera_of(frame), load_mask(scene, frame)
+        assert isinstance(camera, AffineCamera)
+        assert frame.cam_from_world is not None
+        grey = (load_grey(scene.image_path(frame)) / 255).astype(np.float32)
+        if mask is not None:
+            grey[~mask] = np.nan
+        views.append(GroundView(grey, camera, frame.cam_from_world))
+    return views
+
+
 def heights_stage(found: SatelliteStages, settings: HeightSettings, context: RecipeContext) -> CachedStage:
     """Return the stage heights: those matched over the ground in the training pictures, in ``HEIGHTS``."""
 
     def heights_into(folder: Path) -> dict[str, Any]:
         scene = read_scene(found.local.folder / SCENE)
-        views = [
-            GroundView((load_grey(scene.image_path(frame)) / 255).astype(np.float32), camera, frame.cam_from_world)
-            for frame in scene.of_split("train")
-            if isinstance(camera := scene.camera_of(frame), AffineCamera) and frame.cam_from_world is not None
-        ]
+        views = ground_views(scene, scene.of_split("train"))
         grid = GroundGrid.over(found.box, settings.resolution)
         lowest, highest = float(found.box[0, 2]), float(found.box[1, 2])
         made = match_heights(views, grid, (lowest, highest), settings, seed=context.seed, progress=context.progress)
@@ -176,7 +193,7 @@ def heights_stage(found: SatelliteStages, settings: HeightSettings, context: Rec
         "heights",
         inputs={"affine": found.local.output.key},
         settings=settings,
-        code=(depth,),
+        code=(depth, geometry),
         build=heights_into,
     )
 

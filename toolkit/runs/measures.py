@@ -9,11 +9,14 @@ from typing import Literal
 
 Better = Literal["higher", "lower"]
 
-_HIGHER = frozenset({"psnr", "ssim", "registered", "inliers", "recall", "precision", "score", "fps"})
+_HIGHER = frozenset(
+    {*("psnr", "ssim", "registered", "inliers", "recall", "precision", "score", "fps"), *("within", "known")}
+)
 _LOWER = frozenset(
     {
         *("lpips", "pos", "rot", "ate", "rpe", "rmse", "mae", "error", "loss", "seconds", "outliers", "mte", "mre"),
         *("accuracy", "completeness", "normal"),  # of surfaces: distances and an angle
+        *("absolute", "spread", "rms"),  # of differences
     }
 )
 _PICTURE = frozenset({"psnr", "ssim", "lpips"})

@@ -212,9 +212,12 @@ def read_view(run: RunFolder, query: QueryPose | None = None) -> ViewSplat:
     points = points[:: -(-len(points) // _MOST_POINTS)]
     centre = np.median(points, axis=0)
     up = _up(scene, remarks)
-    radius = _radius(points - centre, scene.centres() - centre)
-    frustum = _frustum(scene.centres(), radius)
-    cameras = tuple(_view_camera(shot, points, centre, radius) for shot in _shots(scene, query, remarks))
+    shots = _shots(scene, query, remarks)
+    # Where parallel rays come from is nowhere: an affine camera's pose is a place among the points.
+    centres = np.array([pose.centre for _, use, _, pose, _ in shots if use != "query"]).reshape(-1, 3)
+    radius = _radius(points - centre, centres - centre)
+    frustum = _frustum(centres, radius)
+    cameras = tuple(_view_camera(shot, points, centre, radius) for shot in shots)
     kind: Kind = "2d" if run.record().flat_settings.get("train.kind") == "2d" else "3d"
     view = ViewScene(run, stamp, kind, len(means), centre, up, radius, frustum, cameras, tuple(remarks))
     shifted = _tensor(means - centre)
