@@ -7,16 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toolkit.depth.monocular import DepthPrediction
 from toolkit.errors import StageError
 from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.poses.satellite import ground_box, require_rpc_cameras, with_affine_cameras
 from toolkit.progress import silent
-from toolkit.recipes import sat_splat
+from toolkit.recipes import held_depth, sat_colmap_3dgs, sat_splat
 from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult
+from toolkit.recipes.sat_colmap_3dgs import SatColmap3dgsSettings
 from toolkit.recipes.sat_heights import SatHeightsSettings, run
 from toolkit.recipes.satellite_measure import DIFFERENCE_FILE, DSM_FILE, true_surface_model
 from toolkit.samples.city import CitySample, CitySettings, make_city
+from toolkit.scene import Frame, Scene
 from toolkit.scene.dataset import open_capture
 from toolkit.scene.dsm_files import read_dsm
 from toolkit.workspace import Workspace
@@ -30,10 +33,12 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> CitySample:
     return make_city(tmp_path_factory.mktemp("city") / "small", CitySettings().replace(SMALL), seed=3)
 
 
-def context(folder: Path) -> RecipeContext:
+def context(folder: Path, work: Path | None = None) -> RecipeContext:
     for name in ("artifacts", "checkpoint"):
         (folder / name).mkdir(parents=True, exist_ok=True)
-    return RecipeContext(Workspace(folder / "work"), folder / "artifacts", folder / "checkpoint", 0, "cpu", silent)
+    return RecipeContext(
+        Workspace(work or folder / "work"), folder / "artifacts", folder / "checkpoint", 0, "cpu", silent
+    )
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +90,40 @@ def test_a_splat_of_the_city_has_its_heights(city: CitySample, place: Path, made
     assert result.metrics["dsm.median_absolute"] < 0.7
     assert result.metrics["sfm.registered"] == 7
     assert result.gaussians is not None
+
+
+class Ramp:
+    """Stands in for a network: depth that grows from left to right."""
+
+    name = "a ramp"
+
+    def predict(self, scene: Scene, frame: Frame) -> DepthPrediction:
+        camera = scene.camera_of(frame)
+        row = np.arange(camera.width, dtype=np.float32)
+        return DepthPrediction(np.tile(row, (camera.height, 1)), "affine-disparity")
+
+
+def test_colmap_places_few_pictures_and_says_so(
+    city: CitySample, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capture = open_capture(city.folder)
+    data = RecipeInput(capture.scene, capture.reference, "city")
+    few = SatColmap3dgsSettings().replace({"train.steps": 12})
+    plain = sat_colmap_3dgs.run(data, few, context(place / "plain"))
+    assert plain.metrics["sfm.images"] == 7
+    # Nearly parallel rays and unknown focal lengths: COLMAP finds pairs and no more.
+    assert 2 <= plain.metrics["sfm.registered"] < 7
+    assert {camera.model for camera in plain.scene.cameras.values()} == {"OPENCV"}
+    train = [frame for frame in plain.scene.of_split("train") if frame.cam_from_world is not None]
+    assert plain.metrics["training.views"] == len(train)
+    assert 0 < plain.metrics["training.l1"] < 0.5
+    assert plain.metrics["training.psnr"] > 5
+    monkeypatch.setattr(held_depth, "depth_provider", lambda settings: Ramp())
+    settings = few.replace({"depth_loss.weight": 0.5})
+    held = sat_colmap_3dgs.run(data, settings, context(place / "held", work=place / "plain" / "work"))
+    assert [time.name for time in held.times if not time.reused][:2] == ["depth", "compile"]
+    assert held.reports["depth"] == {"images": len(train), "source": "a ramp", "kinds": ["affine-disparity"]}
+    assert held.metrics["training.l1"] != plain.metrics["training.l1"]
 
 
 def test_affine_cameras_are_where_rpcs_are(city: CitySample) -> None:

@@ -15,12 +15,19 @@ from toolkit.errors import Cancelled, DataError, RunError, StageError
 from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.scene import Scene
-from toolkit.splat.depth_loss import DepthKind, DepthPredictions, compared_depth, depth_loss, resampled
+from toolkit.splat.depth_loss import (
+    DepthKind,
+    DepthPredictions,
+    PredictedDepth,
+    compared_depth,
+    depth_loss,
+    resampled,
+)
+from toolkit.splat.depth_settings import DepthLossSettings
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import load_photos, views_of
 from toolkit.splat.rasterize import RasterSettings, rasterize
 from toolkit.splat.train import train_splats
-from toolkit.splat.train_settings import Schedule
 
 KINDS: tuple[DepthKind, ...] = ("scale-shift", "pearson")
 
@@ -172,6 +179,10 @@ def predictions_of(scene: Scene, *, affine: bool) -> dict[str, np.ndarray]:
     return made
 
 
+def held_to(predictions: dict[str, np.ndarray], weight: float, **changes: object) -> PredictedDepth:
+    return PredictedDepth(predictions, "disparity", DepthLossSettings().replace({"weight": weight, **changes}))
+
+
 def depth_error(gaussians: Gaussians, scene: Scene) -> float:
     """Mean difference from the true depth where the truth is opaque, in scene units, over all frames."""
     errors = []
@@ -192,9 +203,9 @@ def test_training_with_it_brings_depths_nearer_to_the_truth(tmp_path: Path, affi
     """Few steps from noisy points on three photos, where colours alone tell little; measured: half of the error."""
     scene = make_scene(tmp_path, cameras=5, points=100, noise=0.3, affine=affine)
     predictions = predictions_of(scene, affine=affine)
-    changes = {"steps": 150, "depth_loss": kind, "densify_stop": 0.0, "lr_means": 2e-3, "lr_means_final": 2e-4}
-    plain = train_splats(scene, settings(**changes), seed=0)
-    held = train_splats(scene, settings(depth_weight=0.03, **changes), seed=0, depth_predictions=predictions)
+    chosen = settings(steps=150, densify_stop=0.0, lr_means=2e-3, lr_means_final=2e-4)
+    plain = train_splats(scene, chosen, seed=0)
+    held = train_splats(scene, chosen, seed=0, predicted_depth=held_to(predictions, 0.03, kind=kind))
     assert depth_error(held.gaussians, scene) < 0.75 * depth_error(plain.gaussians, scene)
     assert held.notes == ()
 
@@ -202,63 +213,64 @@ def test_training_with_it_brings_depths_nearer_to_the_truth(tmp_path: Path, affi
 def test_a_resumed_training_with_it_is_the_uninterrupted_one(tmp_path: Path) -> None:
     scene = make_scene(tmp_path / "scene")
     predictions = predictions_of(scene, affine=False)
-    chosen = settings(steps=30, depth_weight=0.5, coarse_to_fine=True)
-    whole = train_splats(scene, chosen, seed=3, depth_predictions=predictions)
+    chosen = settings(steps=30, coarse_to_fine=True)
+    held = held_to(predictions, 0.5)
+    whole = train_splats(scene, chosen, seed=3, predicted_depth=held)
     folder = tmp_path / "checkpoints"
     with pytest.raises(Cancelled):
         train_splats(
             scene,
             chosen,
             seed=3,
-            depth_predictions=predictions,
+            predicted_depth=held,
             checkpoint_dir=folder,
             progress=stop_after(13),
         )
-    changed = predictions | {"01.png": predictions["01.png"] + 1}
+    changed = held_to(predictions | {"01.png": predictions["01.png"] + 1}, 0.5)
     with pytest.raises(RunError, match="belongs to another run; expected depth predictions = "):
-        train_splats(scene, chosen, seed=3, depth_predictions=changed, checkpoint_dir=folder)
-    resumed = train_splats(scene, chosen, seed=3, depth_predictions=predictions, checkpoint_dir=folder)
+        train_splats(scene, chosen, seed=3, predicted_depth=changed, checkpoint_dir=folder)
+    with pytest.raises(RunError, match=r"belongs to another run; expected depth loss\.weight = "):
+        train_splats(scene, chosen, seed=3, predicted_depth=held_to(predictions, 0.4), checkpoint_dir=folder)
+    resumed = train_splats(scene, chosen, seed=3, predicted_depth=held, checkpoint_dir=folder)
     assert resumed.resumed_at == 13
     assert same(whole.gaussians, resumed.gaussians)
 
 
 def test_the_weight_falls_exponentially() -> None:
-    schedule = Schedule.of(settings(steps=101, depth_weight=1.0, depth_weight_final=0.01))
-    assert [schedule.depth_weight_at(step) for step in (1, 51, 101)] == pytest.approx([1.0, 0.1, 0.01])
-    constant = Schedule.of(settings(steps=101, depth_weight=0.5, depth_weight_final=0.0))
-    assert constant.depth_weight_at(101) == 0.5
+    falling = held_to({}, 1.0, final_weight=0.01)
+    assert [falling.weight_at(step, 101) for step in (1, 51, 101)] == pytest.approx([1.0, 0.1, 0.01])
+    assert held_to({}, 0.5, final_weight=0.0).weight_at(101, 101) == 0.5
 
 
-def test_predictions_that_are_not_used_or_missing_are_told(tmp_path: Path) -> None:
+def test_missing_predictions_are_told(tmp_path: Path) -> None:
     scene = make_scene(tmp_path)
-    predictions = predictions_of(scene, affine=False)
-    unused = train_splats(scene, settings(steps=1), seed=0, depth_predictions=predictions)
-    assert unused.notes == ("Predicted depths were given, but depth_weight is 0: they are not used.",)
-    one = {"01.png": predictions["01.png"]}
-    held = train_splats(scene, settings(steps=1, depth_weight=1.0), seed=0, depth_predictions=one)
+    one = {"01.png": predictions_of(scene, affine=False)["01.png"]}
+    held = train_splats(scene, settings(steps=1), seed=0, predicted_depth=held_to(one, 1.0))
     assert held.notes == ("5 of 6 training photos have no predicted depth.",)
 
 
-@pytest.mark.parametrize("given", [None, {}, {"unknown.png": np.ones((4, 6))}])
-def test_a_weight_without_predictions_is_refused(tmp_path: Path, given: dict[str, np.ndarray] | None) -> None:
+@pytest.mark.parametrize("given", [{}, {"unknown.png": np.ones((4, 6))}])
+def test_no_prediction_for_any_photo_is_refused(tmp_path: Path, given: dict[str, np.ndarray]) -> None:
     scene = make_scene(tmp_path)
-    with pytest.raises(StageError, match="no predicted depth.*none for the 6 training photos.*depth_weight to 0"):
-        train_splats(scene, settings(steps=1, depth_weight=1.0), seed=0, depth_predictions=given)
+    with pytest.raises(
+        StageError, match=r"no predicted depth.*none for the 6 training photos\. Hand in predictions"
+    ):
+        train_splats(scene, settings(steps=1), seed=0, predicted_depth=held_to(given, 1.0))
 
 
 @pytest.mark.parametrize("shape", [(WIDTH, HEIGHT), (HEIGHT, WIDTH, 1), (0, 0)])
 def test_a_prediction_of_another_shape_is_refused(tmp_path: Path, shape: tuple[int, ...]) -> None:
     scene = make_scene(tmp_path)
     with pytest.raises(DataError, match=r"depth of frame '01.png' does not fit.*ratio of 36x24; found \("):
-        train_splats(
-            scene, settings(steps=1, depth_weight=1.0), seed=0, depth_predictions={"01.png": np.ones(shape)}
-        )
+        train_splats(scene, settings(steps=1), seed=0, predicted_depth=held_to({"01.png": np.ones(shape)}, 1.0))
 
 
 def test_predictions_of_any_size_fit_the_same_shape(tmp_path: Path) -> None:
     scene = make_scene(tmp_path)
     photos = load_photos(scene, scene.of_split("train"), 800)
-    predictions = DepthPredictions({photos[0].name: np.ones((56, 84))}, [photo.name for photo in photos])
+    predictions = DepthPredictions(
+        held_to({photos[0].name: np.ones((56, 84))}, 1.0), [photo.name for photo in photos]
+    )
     whole, half = predictions.of_photo(photos[0]), predictions.of_photo(photos[0].shrunk(2))
     assert whole is not None
     assert half is not None

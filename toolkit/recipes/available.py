@@ -10,6 +10,7 @@ from toolkit.depth.moge_depth import DEFAULT_WEIGHTS as MOGE_WEIGHTS
 from toolkit.depth.settings import DepthSettings
 from toolkit.depth.transformers_depth import DEFAULT_WEIGHTS as DPT_WEIGHTS
 from toolkit.depth.video_depth import DEFAULT_WEIGHTS as VIDEO_WEIGHTS
+from toolkit.recipes.colmap_3dgs import Colmap3dgsSettings
 from toolkit.recipes.depth_fusion import DepthFusionSettings
 from toolkit.recipes.noposegs import NoposegsSettings
 from toolkit.recipes.slam_noposegs import OrbslamNoposegsSettings
@@ -30,6 +31,8 @@ def missing_here(settings: Settings) -> str:
         return ""
     if isinstance(settings, DepthFusionSettings):
         return _no_depth(settings.external.depth, "external.depth")
+    if isinstance(settings, Colmap3dgsSettings) and settings.depth_loss.weight == 0:
+        return ""
     depth = getattr(settings, "depth", None)
     return _no_depth(depth) if isinstance(depth, DepthSettings) else ""
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from toolkit import matching, poses
+from toolkit.depth.settings import DepthSettings
 from toolkit.matching.features import SiftSettings
 from toolkit.matching.match import MatchSettings
 from toolkit.matching.pairs import PairSettings
@@ -13,6 +14,7 @@ from toolkit.metrics.lpips import Lpips
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
 from toolkit.recipes.base import Recipe, RecipeContext, RecipeInput, RecipeResult
 from toolkit.recipes.cached import CachedStage, cached_stage
+from toolkit.recipes.held_depth import held_depth
 from toolkit.recipes.steps import (
     DATABASE,
     SCENE,
@@ -23,6 +25,7 @@ from toolkit.recipes.steps import (
 )
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.settings import Group, Settings
+from toolkit.splat.depth_settings import DepthLossSettings
 from toolkit.splat.train_settings import TrainSettings
 
 
@@ -34,15 +37,19 @@ class Colmap3dgsSettings(Settings):
     match = Group(MatchSettings(), doc="Matching and geometric verification")
     sfm = Group(SfmSettings(), doc="Incremental structure from motion")
     train = Group(TrainSettings(), doc="Gaussian splats")
+    depth_loss = Group(
+        DepthLossSettings(), doc="Predicted depth that the splat's is held to, where weight is not 0"
+    )
+    depth = Group(DepthSettings(), doc="Where that depth comes from; of undistorted photos")
 
 
 def run(data: RecipeInput, settings: Colmap3dgsSettings, context: RecipeContext) -> RecipeResult:
     """Find poses from the pictures alone by incremental structure from motion, then train a splat on them."""
-    lpips = Lpips()
+    lpips, held = Lpips(), held_depth(settings.depth, settings.depth_loss)
     stages = structure_from_motion(data, settings, context)
     scene = read_scene(stages[-1].folder / SCENE)
     posed = PosedStages(stages, sfm_metrics(scene, stages[-1].report))
-    return train_and_measure(data, posed, settings.train, context, lpips)
+    return train_and_measure(data, posed, settings.train, context, lpips, held)
 
 
 def structure_from_motion(

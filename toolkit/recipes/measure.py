@@ -82,6 +82,25 @@ def measure_test_renders(
     return tuple(views), metrics, {} if lpips.available else {lpips.name: f"not available: {lpips.reason}"}
 
 
+def measure_training_renders(
+    renders: Iterable[RenderedView], count: int, progress: Progress
+) -> dict[str, float | None]:
+    """Return the mean absolute difference and PSNR of training photos and renders, as ``training.*``.
+
+    They tell how well the splat fits what it was made from, and nothing of how it looks from elsewhere.
+    """
+    absolute, ratio = [], []
+    for render in track(renders, "measure training", progress, count):
+        counts = np.ones(render.photo.shape[:2], bool) if render.weights is None else render.weights > 0
+        absolute.append(float(np.abs(render.photo - render.render)[counts].mean()))
+        ratio.append(psnr(render.photo, render.render, counts))
+    return {
+        "training.views": float(len(absolute)),
+        "training.l1": float(np.mean(absolute)) if absolute else None,
+        "training.psnr": float(np.mean(ratio)) if ratio else None,
+    }
+
+
 def measure_poses(
     estimate: Scene, reference: Scene | None, *, name: str = "poses"
 ) -> tuple[dict[str, float | None], dict[str, Any]]:

@@ -17,6 +17,7 @@ def all_recipes() -> dict[str, Recipe]:
     from toolkit.recipes.mvs_poisson import RECIPE as MVS_POISSON
     from toolkit.recipes.nerf import DS_NERF, NERF
     from toolkit.recipes.noposegs import RECIPE as NOPOSEGS
+    from toolkit.recipes.sat_colmap_3dgs import RECIPE as SAT_COLMAP_3DGS
     from toolkit.recipes.sat_heights import RECIPE as SAT_HEIGHTS
     from toolkit.recipes.sat_splat import RECIPE as SAT_SPLAT
     from toolkit.recipes.sensor_3dgs import RECIPE as SENSOR_3DGS
@@ -32,7 +33,7 @@ def all_recipes() -> dict[str, Recipe]:
         *(NERF, DS_NERF),
         *(MVS_POISSON, DEPTH_FUSION),
         SPLAT_MESH,
-        *(SAT_HEIGHTS, SAT_SPLAT),
+        *(SAT_COLMAP_3DGS, SAT_HEIGHTS, SAT_SPLAT),
     )
     return {recipe.name: recipe for recipe in recipes}
 

@@ -90,7 +90,7 @@ def satellite_stages(data: RecipeInput, settings: SatelliteSettings, context: Re
     StageError
         Where a picture has no RPC, or pictures do not match.
     """
-    pictures = _pictures(data, context)
+    pictures = pictures_stage(data, context)
     flat = read_scene(pictures.folder / SCENE)
     features, matches = features_and_matches(
         RecipeInput(flat, None, data.fingerprint), settings.sift, settings.pairs, settings.match, context
@@ -131,7 +131,9 @@ def satellite_stages(data: RecipeInput, settings: SatelliteSettings, context: Re
     return SatelliteStages((pictures, features, matches, refined, local), refined, local, box)
 
 
-def _pictures(data: RecipeInput, context: RecipeContext) -> CachedStage:
+def pictures_stage(data: RecipeInput, context: RecipeContext) -> CachedStage:
+    """Return the stage pictures: satellite pictures as a scene of eight bits, in ``SCENE``."""
+
     def pictures_into(folder: Path) -> dict[str, Any]:
         # Below the scene, so that it stays whole when the stage is renamed.
         scene = pictures_to_match(data.scene, folder / SCENE, progress=context.progress)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from toolkit import matching, poses
 from toolkit.matching.database import copy_database
@@ -17,12 +17,16 @@ from toolkit.metrics.lpips import Lpips
 from toolkit.poses.undistort import undistort
 from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult, StageTime
 from toolkit.recipes.cached import CachedStage, cached_stage
+from toolkit.recipes.held_depth import HeldDepth
 from toolkit.recipes.live_view import LIVE, LiveView
-from toolkit.recipes.measure import measure_test_renders
+from toolkit.recipes.measure import measure_test_renders, measure_training_renders
 from toolkit.recipes.measure_refined import judged_poses, measure_refined_test_renders
 from toolkit.scene import Scene
 from toolkit.scene.folder import read_scene, write_scene
 from toolkit.splat.train_settings import TrainSettings
+
+if TYPE_CHECKING:  # Whoever reads settings does without PyTorch.
+    from toolkit.splat.depth_loss import PredictedDepth
 
 DATABASE = "database.db"
 SCENE = "scene"
@@ -123,7 +127,14 @@ class PosedStages:
 
 
 def train_and_measure(
-    data: RecipeInput, posed: PosedStages, settings: TrainSettings, context: RecipeContext, lpips: Lpips
+    data: RecipeInput,
+    posed: PosedStages,
+    settings: TrainSettings,
+    context: RecipeContext,
+    lpips: Lpips,
+    held: HeldDepth | None = None,
+    *,
+    training_views: bool = False,
 ) -> RecipeResult:
     """Train a splat on the undistorted photos of a scene with poses, and measure test renders and poses.
 
@@ -134,11 +145,22 @@ def train_and_measure(
     ----------
     lpips:
         Made before anything else, so that a damaged weights file is told before minutes are spent.
+    held:
+        Where the depth comes from that the splat's is held to; None: it is held to none.
+    training_views:
+        Also measure training photos, as ``training.*``: what some papers report.
     """
     flat = undistorted(posed.stages[-1], context)
     scene, flat_scene = (read_scene(stage.folder / SCENE) for stage in (posed.stages[-1], flat))
-    stages = PosedStages((*posed.stages, flat), posed.metrics)
-    return train_flat(data, stages, scene, flat_scene, settings, context, lpips)
+    if held is None:
+        stages = PosedStages((*posed.stages, flat), posed.metrics)
+        return train_flat(data, stages, scene, flat_scene, settings, context, lpips, training_views=training_views)
+    maps = held.stage(flat, SCENE, context)
+    stages = PosedStages((*posed.stages, flat, maps), posed.metrics)
+    predicted = held.predicted(maps, flat_scene)
+    return train_flat(
+        data, stages, scene, flat_scene, settings, context, lpips, predicted, training_views=training_views
+    )
 
 
 def train_flat(
@@ -149,6 +171,9 @@ def train_flat(
     settings: TrainSettings,
     context: RecipeContext,
     lpips: Lpips,
+    predicted: PredictedDepth | None = None,
+    *,
+    training_views: bool = False,
 ) -> RecipeResult:
     """Train a splat on photos that need no undistortion, and measure: the second half of :func:`train_and_measure`.
 
@@ -156,9 +181,13 @@ def train_flat(
     ----------
     scene, flat_scene:
         With its own cameras, and with pinhole or affine ones; the same where its own are such.
+    predicted:
+        Depth of the flat scene's photos that the splat's is held to.
+    training_views:
+        As there.
     """
     # Imported only now: whoever reads settings does without PyTorch.
-    from toolkit.splat.evaluate import render_test_views
+    from toolkit.splat.evaluate import render_test_views, render_training_views
     from toolkit.splat.train import train_splats
 
     trained = train_splats(
@@ -169,6 +198,7 @@ def train_flat(
         progress=context.progress,
         checkpoint_dir=context.checkpoint,
         observer=LiveView(context.artifacts / LIVE, flat_scene),
+        predicted_depth=predicted,
     )
     compiling = trained.seconds.get("compile", 0.0)
     watching = trained.seconds.get("observer", 0.0)
@@ -187,6 +217,15 @@ def train_flat(
         lpips,
         context.progress,
     )
+    training_metrics: dict[str, float | None] = {}
+    if training_views:
+        training_metrics = measure_training_renders(
+            render_training_views(
+                trained.gaussians, flat_scene, settings, trained.exposures, device=context.device
+            ),
+            len(flat_scene.of_split("train")),
+            context.progress,
+        )
     refined_metrics, refined_report = measure_refined_test_renders(
         trained.gaussians, flat_scene, settings, lpips, context
     )
@@ -196,6 +235,7 @@ def train_flat(
         times=(*(s.time for s in posed.stages), *training, StageTime("measure", time.perf_counter() - start)),
         metrics={
             **image_metrics,
+            **training_metrics,
             **refined_metrics,
             **judged.metrics,
             **posed.metrics,

@@ -14,7 +14,8 @@ _HIGHER = frozenset(
 )
 _LOWER = frozenset(
     {
-        *("lpips", "pos", "rot", "ate", "rpe", "rmse", "mae", "error", "loss", "seconds", "outliers", "mte", "mre"),
+        *("lpips", "pos", "rot", "ate", "rpe", "rmse", "mae", "l1", "error", "loss", "seconds", "outliers"),
+        *("mte", "mre"),
         *("accuracy", "completeness", "normal"),  # of surfaces: distances and an angle
         *("absolute", "spread", "rms"),  # of differences
     }

@@ -189,7 +189,6 @@ def _require_possible(train: TrainSettings) -> None:
         "exposure": train.exposure,
         "opacity_cost": train.opacity_cost > 0,
         "max_anisotropy": train.max_anisotropy > 0,
-        "depth_weight": train.depth_weight > 0,
     }
     wrong = [name for name, on in asked.items() if on]
     if wrong:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -20,8 +21,10 @@ from torch import Tensor
 
 from toolkit.errors import DataError, StageError
 from toolkit.scene.pictures import area_resize
+from toolkit.splat.depth_settings import DepthLossSettings
 from toolkit.splat.images import Photo
 from toolkit.splat.rasterize import RenderOutput
+from toolkit.splat.train_settings import decayed
 
 DepthKind = Literal["scale-shift", "pearson"]
 DepthPredicts = Literal["disparity", "depth"]
@@ -88,13 +91,36 @@ def compared_depth(output: RenderOutput, *, predicts: DepthPredicts, affine: boo
     return 1 / torch.where(output.alpha[0].detach() > 0, depth, torch.ones_like(depth))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedDepth:
+    """What a training is held to, and how much.
+
+    Attributes
+    ----------
+    values:
+        (H, W) by a frame's name, of the frame's whole picture at any size and in any unit; NaN where there is none.
+    predicts:
+        What the values are up to scale and shift; most monocular networks give disparity, 1 / depth.
+    settings:
+        As declared.
+    """
+
+    values: Mapping[str, NDArray[np.floating]]
+    predicts: DepthPredicts
+    settings: DepthLossSettings
+
+    def weight_at(self, step: int, steps: int) -> float:
+        """Return the weight of the loss in a step, 1 to ``steps``: exponential from first to last."""
+        return decayed(self.settings.weight, self.settings.final_weight, step, steps)
+
+
 class DepthPredictions:
     """Predictions of training photos, at the sizes at which they are asked for.
 
     Parameters
     ----------
-    predictions:
-        (H, W) by a frame's name, of the frame's whole picture at any size; NaN where there is none.
+    predicted:
+        Of the frames.
     names:
         Of the training photos. Predictions of other frames are not looked at.
 
@@ -104,16 +130,17 @@ class DepthPredictions:
         Where no training photo has a prediction.
     """
 
-    def __init__(self, predictions: Mapping[str, NDArray[np.floating]], names: Sequence[str]) -> None:
-        self._predictions, self._resampled = predictions, dict[tuple[str, int, int], Tensor]()
-        self.missing = tuple(name for name in names if name not in predictions)
-        self.names = tuple(name for name in names if name in predictions)
+    def __init__(self, predicted: PredictedDepth, names: Sequence[str]) -> None:
+        self.of, self._predictions = predicted, predicted.values
+        self._resampled = dict[tuple[str, int, int], Tensor]()
+        self.missing = tuple(name for name in names if name not in predicted.values)
+        self.names = tuple(name for name in names if name in predicted.values)
         if not self.names:
             raise StageError(
                 "There is no predicted depth to hold the Gaussians to",
                 expected="predictions of training photos, by the frames' names",
                 found=f"none for the {len(names)} training photos",
-                todo="Hand in predictions, or set depth_weight to 0",
+                todo="Hand in predictions, or none at all",
             )
 
     def of_photo(self, photo: Photo) -> Tensor | None:
@@ -135,8 +162,8 @@ class DepthPredictions:
         return self._resampled[key]
 
     def fingerprint(self) -> str:
-        """Return a hash of the training photos' predictions."""
-        digest = hashlib.sha256()
+        """Return a hash of the training photos' predictions and of what they are."""
+        digest = hashlib.sha256(self.of.predicts.encode())
         for name in self.names:
             values = np.ascontiguousarray(self._predictions[name])
             digest.update(repr((name, values.shape, values.dtype.str)).encode())
@@ -183,10 +210,8 @@ def _resize(image: NDArray[np.float32], width: int, height: int) -> Tensor:
     return larger[0, 0]
 
 
-def prediction_notes(predictions: DepthPredictions | None, given: bool, photos: int) -> tuple[str, ...]:
-    """Return what a person should know about predictions that are not used, and about photos without one."""
-    if predictions is None:
-        return ("Predicted depths were given, but depth_weight is 0: they are not used.",) if given else ()
-    if not predictions.missing:
+def prediction_notes(predictions: DepthPredictions | None, photos: int) -> tuple[str, ...]:
+    """Return what a person should know about photos without a prediction."""
+    if predictions is None or not predictions.missing:
         return ()
     return (f"{len(predictions.missing)} of {photos} training photos have no predicted depth.",)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolkit.progress import Progress, silent, track
-from toolkit.scene import Scene
+from toolkit.scene import Frame, Scene
+from toolkit.splat.exposure import expose
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo
 from toolkit.splat.rasterize import BackendName, Kind, RasterSettings, RenderOutput, rasterize
@@ -62,16 +63,50 @@ def render_test_views(
         As :func:`toolkit.splat.images.load_photo`.
     """
     for frame in track(scene.of_split("test"), "splat.test_views", progress):
-        photo = load_photo(scene, frame, settings.max_side, device=device)
-        output = draw(gaussians, photo, settings)
-        weights = photo.weights()
-        yield RenderedView(
-            name=frame.name,
-            photo=photo.colours().numpy(),
-            render=output.colour[0].clamp(0, 1).cpu().numpy(),
-            depth=_median_depth(output, photo).cpu().numpy(),
-            weights=None if weights is None else weights.numpy(),
-        )
+        yield _rendered(gaussians, scene, frame, settings, device, None)
+
+
+def render_training_views(
+    gaussians: Gaussians,
+    scene: Scene,
+    settings: TrainSettings,
+    exposures: Mapping[str, Sequence[Sequence[float]]],
+    *,
+    device: str = "cpu",
+    progress: Progress = silent,
+) -> Iterator[RenderedView]:
+    """Yield every training frame with a pose as the training saw it last: with its learned change of colours.
+
+    Parameters
+    ----------
+    exposures:
+        Rows of (3, 4) maps of colours by the frames' names (:class:`~toolkit.splat.train.TrainResult`); frames
+        without one keep theirs.
+    """
+    for frame in track(scene.of_split("train"), "splat.training_views", progress):
+        yield _rendered(gaussians, scene, frame, settings, device, exposures.get(frame.name))
+
+
+def _rendered(
+    gaussians: Gaussians,
+    scene: Scene,
+    frame: Frame,
+    settings: TrainSettings,
+    device: str,
+    exposure: Sequence[Sequence[float]] | None,
+) -> RenderedView:
+    photo = load_photo(scene, frame, settings.max_side, device=device)
+    output = draw(gaussians, photo, settings)
+    colour, weights = output.colour[0], photo.weights()
+    if exposure is not None:
+        colour = expose(colour, colour.new_tensor(exposure))
+    return RenderedView(
+        name=frame.name,
+        photo=photo.colours().numpy(),
+        render=colour.clamp(0, 1).cpu().numpy(),
+        depth=_median_depth(output, photo).cpu().numpy(),
+        weights=None if weights is None else weights.numpy(),
+    )
 
 
 def _median_depth(output: RenderOutput, photo: Photo) -> Tensor:

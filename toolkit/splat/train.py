@@ -7,13 +7,10 @@ equals the uninterrupted one to the bit on the same machine, build and number of
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from toolkit.checkpoint import load_newest, require_same
 from toolkit.errors import CapabilityError
@@ -21,7 +18,7 @@ from toolkit.geometry.rigid import RigidTransform
 from toolkit.progress import Progress, ProgressEvent, silent
 from toolkit.scene import Scene
 from toolkit.splat.density import DensityChange
-from toolkit.splat.depth_loss import DepthPredictions, prediction_notes
+from toolkit.splat.depth_loss import DepthPredictions, PredictedDepth, prediction_notes
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.images import Photo, load_photo, load_photos
 from toolkit.splat.initialise import scene_extent
@@ -125,7 +122,7 @@ def train_splats(
     progress: Progress = silent,
     checkpoint_dir: Path | None = None,
     observer: Observer | None = None,
-    depth_predictions: Mapping[str, NDArray[np.floating]] | None = None,
+    predicted_depth: PredictedDepth | None = None,
 ) -> TrainResult:
     """Train Gaussians on the frames of the split ``train`` that have a pose.
 
@@ -147,15 +144,14 @@ def train_splats(
     observer:
         Called after each step with the training as it is; what it returns is told with the step's values. The
         result is the same with and without.
-    depth_predictions:
-        With ``depth_weight``: predicted depth or disparity (H, W) of frames' whole pictures, by the frames' names,
-        in any size and unit, NaN where there is none. Photos without one are not held to any.
+    predicted_depth:
+        What drawn depth is held to, and how much; None: nothing. Photos without a prediction are not held to any.
 
     Raises
     ------
     StageError
         Without training frames with poses, without points, where all Gaussians vanish, where the memory does not
-        hold the first ones, or with ``depth_weight`` and no prediction for any training photo.
+        hold the first ones, or with ``predicted_depth`` for no training photo.
     DataError
         For photos, cameras or predictions that cannot be used, and where all checkpoints are damaged.
     RunError
@@ -171,7 +167,7 @@ def train_splats(
     photos = load_photos(scene, scene.of_split("train"), settings.max_side, device=device, progress=progress)
     test_frames = scene.of_split("test")
     test_photo = load_photo(scene, test_frames[0], settings.max_side, device=device) if test_frames else None
-    predictions = _predictions(settings, depth_predictions, photos)
+    predictions = _predictions(predicted_depth, photos)
     made_with = {
         "settings": settings.to_dict(),
         "seed": seed,
@@ -182,6 +178,7 @@ def train_splats(
         ),
     }
     if predictions is not None:
+        made_with["depth loss"] = predictions.of.settings.to_dict()
         made_with["depth predictions"] = predictions.fingerprint()
     checkpoint, damaged = (None, ()) if checkpoint_dir is None else load_newest(checkpoint_dir)
     if checkpoint is not None and checkpoint_dir is not None:
@@ -194,7 +191,7 @@ def train_splats(
         free = None if device.startswith("cuda") else free_memory()
         settings = _capped(settings, most_gaussians(settings, points, free))
         state = TrainState.start(scene, len(photos), settings, extent, seed, device)
-    unused = prediction_notes(predictions, depth_predictions is not None, len(photos))
+    unused = prediction_notes(predictions, len(photos))
     notes = (*_notes(scene, settings, wanted), *unused, *damaged)
     resumed_at = state.step
     message = " ".join([*notes, f"resumed at step {resumed_at}" if resumed_at else ""]).strip()
@@ -229,18 +226,14 @@ def train_splats(
     )
 
 
-def _predictions(
-    settings: TrainSettings,
-    predictions: Mapping[str, NDArray[np.floating]] | None,
-    photos: Sequence[Photo],
-) -> DepthPredictions | None:
+def _predictions(predicted: PredictedDepth | None, photos: Sequence[Photo]) -> DepthPredictions | None:
     """Return the predictions that the training is held to, None where it is held to none.
 
     A shape that does not fit is told before the first step.
     """
-    if settings.depth_weight == 0:
+    if predicted is None:
         return None
-    known = DepthPredictions({} if predictions is None else predictions, [photo.name for photo in photos])
+    known = DepthPredictions(predicted, [photo.name for photo in photos])
     for photo in photos:
         known.of_photo(photo)
     return known

@@ -69,27 +69,6 @@ class TrainSettings(Settings):
         0.0, bounds=(0.0, 1e6), doc="2d: weight of the spread of depths along a ray, per squared scene extent."
     )
 
-    depth_weight = Number(
-        0.0,
-        bounds=(0.0, 1e3),
-        doc="Weight at the first step of the drawn depth's difference from predicted depth, in standard deviations "
-        "of that, whatever its scale and shift (after Kerbl et al. 2024); try 0.03; 0: none.",
-    )
-    depth_weight_final = Number(
-        0.01, bounds=(0.0, 1e3), doc="... at the last; exponential in between; 0: the same throughout."
-    )
-    depth_loss = Choice(
-        "scale-shift",
-        choices=("scale-shift", "pearson"),
-        doc="scale-shift: mean difference after a least squares fit of scale and shift in each photo; pearson: one "
-        "minus the correlation.",
-    )
-    depth_predicts = Choice(
-        "disparity",
-        choices=("disparity", "depth"),
-        doc="What the predictions are up to scale and shift; most monocular networks give disparity, 1 / depth.",
-    )
-
     sh_degree = Integer(3, bounds=(0, 3), doc="Highest degree of the spherical harmonics of colour.")
     sh_every = Integer(
         1000, bounds=(1, 1_000_000), unit="steps", doc="The degree rises by one at this interval, from 0 on."
@@ -275,8 +254,6 @@ class Schedule:
         Weight of the normals after step ``normal_first``; 0 with kind 3d.
     distortion_weight:
         Weight of the spread of depths; 0 with kind 3d.
-    depth_weight, depth_weight_final:
-        Weight of the depth loss at the first and at the last step.
     quarter_last, half_last:
         Up to these steps photos have a quarter, then a half, of their sides; 0, 0 without coarse to fine.
     pose_first, pose_last:
@@ -297,8 +274,6 @@ class Schedule:
     normal_weight: float
     normal_first: int
     distortion_weight: float
-    depth_weight: float
-    depth_weight_final: float
     quarter_last: int
     half_last: int
     pose_first: int
@@ -326,8 +301,6 @@ class Schedule:
             normal_weight=settings.normal_weight if settings.kind == "2d" else 0.0,
             normal_first=round(settings.normal_start * settings.steps),
             distortion_weight=settings.distortion_weight if settings.kind == "2d" else 0.0,
-            depth_weight=settings.depth_weight,
-            depth_weight_final=settings.depth_weight_final,
             quarter_last=round(settings.coarse_quarter * settings.steps) if coarse else 0,
             half_last=round(settings.coarse_half * settings.steps) if coarse else 0,
             pose_first=round(settings.pose_start * settings.steps) if settings.refine_poses else 0,
@@ -357,10 +330,6 @@ class Schedule:
     def normal_weight_at(self, step: int) -> float:
         """Return the weight of the normals in this step."""
         return self.normal_weight if step > self.normal_first else 0.0
-
-    def depth_weight_at(self, step: int) -> float:
-        """Return the weight of the depth loss in this step: exponential from first to last step of the run."""
-        return decayed(self.depth_weight, self.depth_weight_final, step, self.steps)
 
     def shrink_at(self, step: int) -> int:
         """Return by how much the photos' sides are divided in this step: 4, 2 or 1."""

@@ -180,15 +180,15 @@ class Trainer:
     def _depth_cost(self, output: RenderOutput, photo: Photo, step: int) -> Tensor | None:
         """Return what holds the drawn depth to a predicted one, None where there is none to compare."""
         prediction = None if self.predictions is None else self.predictions.of_photo(photo)
-        if prediction is None:
+        if prediction is None or self.predictions is None:
             return None
-        affine, settings = photo.views.affine, self.settings
-        drawn = compared_depth(output, predicts=settings.depth_predicts, affine=affine)
+        held = self.predictions.of
+        drawn = compared_depth(output, predicts=held.predicts, affine=photo.views.affine)
         # A pixel's depth is known as well as it is covered.
         covered, mask = output.alpha[0].detach(), photo.weights(str(drawn.device))
         counting = covered if mask is None else covered * mask
-        cost = depth_loss(drawn, prediction.to(drawn.device), counting, kind=settings.depth_loss)
-        return None if cost is None else self.schedule.depth_weight_at(step) * cost
+        cost = depth_loss(drawn, prediction.to(drawn.device), counting, kind=held.settings.kind)
+        return None if cost is None else held.weight_at(step, self.schedule.steps) * cost
 
     def _background(self, like: Tensor) -> Tensor:
         if self.settings.background == "random":
