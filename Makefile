@@ -8,6 +8,8 @@ DEMO := runs/demo
 RUNS ?= $(DEMO)/runs
 DATA ?= $(DEMO)/data
 PORT ?= 5006
+# Tests at once. Each takes up to 3 GB of memory.
+JOBS ?= 2
 VIEWER := toolkit/widgets/viewer
 
 .DEFAULT_GOAL := help
@@ -64,8 +66,8 @@ viewer: $(VIEWER)/dist/viewer.js  ## Build the page's WebGL viewer (needs npm).
 viewer-if-npm:
 	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory viewer || echo "The WebGL viewer was not built."; fi
 
-test: $(VENV)/.dev viewer-if-npm  ## Run the tests.
-	$(BIN)/python -m pytest
+test: $(VENV)/.dev viewer-if-npm  ## Run the tests, JOBS at once (2).
+	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
 bench: $(VENV)/.dev  ## Measure (six hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
 	$(BIN)/python tests/benchmarks/performance.py

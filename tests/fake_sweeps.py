@@ -15,6 +15,7 @@ from toolkit.runs.sweep import create_sweep
 from toolkit.runs.sweep_plan import SweepPlan
 from toolkit.runs.sweep_record import SweepFolder
 from toolkit.runs.sweep_space import Method, parse_dimension
+from toolkit.runs.threads import threads
 
 
 def make_sweep(
@@ -29,7 +30,7 @@ def make_sweep(
 @contextmanager
 def in_this_process(plan: SweepPlan, folder: Path) -> Iterator[tuple[Executor, int]]:
     """Stand for worker processes: threads, which need no start."""
-    with ThreadPoolExecutor(plan.workers) as executor:
+    with threads(plan.threads), ThreadPoolExecutor(plan.workers) as executor:
         yield executor, plan.workers
 
 

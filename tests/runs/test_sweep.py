@@ -219,11 +219,12 @@ def test_a_task_that_a_scheduler_gives_out_again_by_itself_does_nothing(
     run = queued(loop__steps=3)
     mark = runs_dir / "mark"
     mark.touch()
-    assert work_on(run.path, mark, "queued", 1, RECIPE) == "queued"
-    mark.unlink()
-    assert work_on(run.path, mark, "cancelled", 1, RECIPE) == "queued"  # it changed since it was handed out
-    mark.unlink()
-    assert work_on(run.path, mark, "queued", 1, RECIPE) == "finished"
+    with threads(1):
+        assert work_on(run.path, mark, "queued", 1, RECIPE) == "queued"
+        mark.unlink()
+        assert work_on(run.path, mark, "cancelled", 1, RECIPE) == "queued"  # it changed since it was handed out
+        mark.unlink()
+        assert work_on(run.path, mark, "queued", 1, RECIPE) == "finished"
 
 
 def test_a_run_that_was_deleted_is_not_made_again(photos: Path, runs_dir: Path) -> None:
