@@ -10,9 +10,10 @@ from scipy import ndimage
 
 from toolkit.depth.height_cost import slow_patch_cost
 from toolkit.depth.height_fill import fill_low
-from toolkit.depth.height_kernels import cost_patches, ground_window, hide_views
+from toolkit.depth.height_kernels import cost_patches, ground_window
 from toolkit.depth.height_map import GroundView, HeightMap, _Layer, match_heights
 from toolkit.depth.height_settings import HeightSearchSettings, HeightSettings
+from toolkit.depth.height_walls import hide_views
 from toolkit.errors import DataError, StageError
 from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.compiled import launching
@@ -77,7 +78,9 @@ def test_the_compiled_cost_is_that_of_the_readable_twin(views: list[GroundView])
     planes = np.dstack([rng.uniform(0, 12, (SIDE, SIDE)), rng.uniform(-0.8, 0.8, (SIDE, SIDE, 2))])
     cost = np.empty((SIDE, SIDE))
     with launching():
-        cost_patches(planes, cost, layer.seen, GRID.first, layer.views, layer.window, 0.4, search.slope_cost)
+        cost_patches(
+            planes, cost, layer.seen, GRID.first, layer.views, layer.window, search.share / 100, search.slope_cost
+        )
     places = GRID.places()
     for i, j in rng.integers(0, SIDE, (60, 2)):
         h, p, q = planes[i, j]
@@ -97,6 +100,41 @@ def test_a_block_of_houses_is_found(found: HeightMap) -> None:
     assert (error < 0.5).mean() > 0.9
     assert found.to_dict()["views"] == 5
     assert found.to_dict()["known"] == 1.0
+
+
+def widened(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Level planes (H, W, 3), every roof two cells wider on all sides."""
+    planes = np.zeros((*heights.shape, 3))
+    planes[..., 0] = ndimage.maximum_filter(heights, 5)
+    return planes
+
+
+def test_walls_that_came_out_too_wide_move_back() -> None:
+    around = np.radians(np.arange(0, 360, 30))
+    views = [view((0.35 * np.sin(turn), 0.35 * np.cos(turn))) for turn in around]
+    x, y = np.moveaxis(GRID.places(), -1, 0)
+    heights = truth(x, y)
+    # The flat roof alone: its edges are walls of 6.5 m.
+    near = (x > 4) & (x < 14) & (y > 6) & (y < 19)
+    search = HeightSearchSettings()
+    layer = _Layer.of(views, GRID, 0, search)
+    planes = widened(heights)
+    before = (np.abs(planes[..., 0] - heights) > 2) & near
+    settled, _ = layer.settle(planes, np.zeros((SIDE, SIDE)), (0.0, 12.0), search, lambda: None)
+    after = (np.abs(settled[..., 0] - heights) > 2) & near
+    # Two rings of cells around 12 x 18; what is left is a cell here and there.
+    assert before.sum() > 120
+    assert after.sum() < 0.25 * before.sum()
+
+
+def test_three_views_settle_nothing(views: list[GroundView]) -> None:
+    x, y = np.moveaxis(GRID.places(), -1, 0)
+    search = HeightSearchSettings()
+    layer = _Layer.of(views[:3], GRID, 0, search)
+    planes, cost = widened(truth(x, y)), np.full((SIDE, SIDE), 0.5)
+    settled, same = layer.settle(planes.copy(), cost.copy(), (0.0, 12.0), search, lambda: None)
+    np.testing.assert_array_equal(settled, planes)
+    np.testing.assert_array_equal(same, cost)
 
 
 def test_the_same_seed_gives_the_same_heights_whatever_the_threads(

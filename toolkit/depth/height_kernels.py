@@ -210,7 +210,6 @@ def search_patches(
     metres: float,  # by which a height is changed at most
     turn: float,  # and a slope
     seed: int,
-    still: bool,  # try patches of other cells alone
 ) -> None:
     """Try other patches at all cells of one colour and keep those that cost less."""
     rows, columns = cost.shape
@@ -225,7 +224,7 @@ def search_patches(
             h, p, q = float(planes[i, j, 0]), float(planes[i, j, 1]), float(planes[i, j, 2])
             least = float(cost[i, j])
             # Eight patches of other cells, then five new ones.
-            for trial in range(8 if still else _TRIALS):
+            for trial in range(_TRIALS):
                 a, b, c = h, p, q
                 if trial < 8:
                     down, right = (1, -1, 0, 0)[trial & 3], (0, 0, 1, -1)[trial & 3]
@@ -249,42 +248,3 @@ def search_patches(
                     least, h, p, q = found, a, b, c
             planes[i, j, 0], planes[i, j, 1], planes[i, j, 2] = h, p, q
             cost[i, j] = least
-
-
-@parallel_kernel
-def hide_views(
-    heights: Array, resolution: float, leaning: Array, margin: float, highest: float, seen: Array
-) -> None:
-    """Clear the bits of views from which other cells hide a cell.
-
-    Parameters
-    ----------
-    heights:
-        (H, W) float32.
-    leaning:
-        (V, 2) metres to the east and to the north by which a ray to the sensor leans for each metre up.
-    margin:
-        Metres by which a cell must rise above the ray to hide what is behind.
-    seen:
-        (H, W) uint64, changed.
-    """
-    rows, columns = heights.shape
-    for i in prange(rows):
-        for j in range(columns):
-            for v in range(len(leaning)):
-                east, north = leaning[v]
-                run = max(abs(east), abs(north))
-                if run < 1e-6:
-                    continue
-                rise = resolution / run  # metres up for one cell along
-                down, right = -north / run, east / run
-                height = heights[i, j] + margin
-                away = 1
-                while height + away * rise <= highest:
-                    k, m = int(np.floor(i + down * away + 0.5)), int(np.floor(j + right * away + 0.5))
-                    if not (0 <= k < rows and 0 <= m < columns):
-                        break
-                    if heights[k, m] > height + away * rise:
-                        seen[i, j] &= ~(_ONE << np.uint64(v))
-                        break
-                    away += 1

@@ -4,12 +4,12 @@ Satellites look almost straight down from far away, so that the ground itself is
 reference picture, every view takes part in every cell, and what comes out is the map that is wanted. The search is
 that of PatchMatch stereo with slanted windows (Bleyer et al. 2011) on a grid of heights and slopes. What one tall
 building hides in one view another one sees: views from which the first heights hide a cell take no part in a second
-search.
+search, and where walls stand is settled by comparing each height in the views that would see it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,11 +22,11 @@ from toolkit.depth.height_kernels import (
     WORST,
     cost_patches,
     ground_window,
-    hide_views,
     random_patches,
     search_patches,
 )
 from toolkit.depth.height_settings import HeightSearchSettings, HeightSettings
+from toolkit.depth.height_walls import hide_views, settle_patches
 from toolkit.errors import DataError, StageError
 from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.compiled import launching
@@ -44,6 +44,10 @@ _LEAST_SIDE = 16  # cells of the smallest grid
 _MORE_ROUNDS = 3  # at the smallest size, which starts at random
 _PIXELS, _TURN = 3.0, 0.4  # first changes of a height, in pixels of parallax, and of a slope; rounds halve them
 _HIDING = 1.0  # cells by which a wall must rise above a ray
+# Where walls are settled: cells by which these must rise above a ray, cells away from which on they are believed,
+# and cells of height from which on a step is one.
+_RISING, _IN_DOUBT, _STEP = 0.5, 3, 1.0
+_ENOUGH = 4  # views that must see a cell for its wall to be settled
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +160,8 @@ def match_heights(
     levels = range(max(1, min(search.levels, 1 + int(np.log2(max(min(grid.rows, grid.columns) / _LEAST_SIDE, 1))))))
     again = max(1, search.iterations - 1)
     rounds = sum(_rounds(search, level, levels) for level in levels)
-    step = _Steps(progress, rounds + again * (bool(search.hidden_views) + bool(search.fine_radius)))
+    fine = search.fine_rounds if search.fine_radius else 0
+    step = _Steps(progress, rounds + again * bool(search.hidden_views) + fine)
     planes: Array | None = None
     layer: _Layer | None = None
     for level in reversed(levels):
@@ -174,8 +179,7 @@ def match_heights(
         layer.hide(planes[..., 0], height_range[1])
         cost = layer.search(planes, height_range, search, again, seed + 104_729, step)
     if search.fine_radius:
-        layer.window = ground_window(search.fine_radius, 1, grid.resolution)
-        layer.search(planes, height_range, search, again, seed + 2 * 104_729, step, still=True)
+        planes, cost = layer.settle(planes, cost, height_range, search, step)
     if not (cost < WORST).any():
         raise StageError(
             "No cell is seen by two views",
@@ -273,11 +277,9 @@ class _Layer:
         search: HeightSearchSettings,
         rounds: int,
         seed: int,
-        step: _Steps,
-        *,
-        still: bool = False,
+        step: Callable[[], None],
     ) -> Array:
-        """Change ``planes`` to cheaper ones and return their cost; ``still``: to those of other cells alone."""
+        """Change ``planes`` to cheaper ones and return their cost."""
         cost = np.full(planes.shape[:2], WORST)
         common = (self.seen, self.grid.first, self.views, self.window, search.share / 100, search.slope_cost)
         with launching():
@@ -296,10 +298,46 @@ class _Layer:
                         _PIXELS * left * self.parallax,
                         _TURN * left,
                         seed + 104_729 * (number + 1) + colour,
-                        still,
                     )
             step()
         return cost
+
+    def settle(
+        self,
+        planes: Array,
+        cost: Array,
+        height_range: tuple[float, float],
+        search: HeightSearchSettings,
+        step: Callable[[], None],
+    ) -> tuple[Array, Array]:
+        """Return planes with sharper walls, and their cost where that was in question."""
+        side = self.grid.resolution
+        window = ground_window(search.fine_radius, 1, side)
+        for _ in range(search.fine_rounds):
+            made, made_cost = np.empty_like(planes), np.empty_like(cost)
+            clean = ndimage.median_filter(planes[..., 0].astype(np.float32), 3)
+            with launching():
+                settle_patches(
+                    planes,
+                    cost,
+                    made,
+                    made_cost,
+                    clean,
+                    self.leaning,
+                    _RISING * side,
+                    _IN_DOUBT,
+                    _ENOUGH,
+                    _STEP * side,
+                    self.grid.first,
+                    self.views,
+                    window,
+                    search.share / 100,
+                    search.slope_cost,
+                    *height_range,
+                )
+            planes, cost = made, made_cost
+            step()
+        return planes, cost
 
 
 def _enlarged(planes: Array, small: GroundGrid, large: GroundGrid) -> Array:

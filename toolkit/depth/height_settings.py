@@ -13,12 +13,12 @@ class HeightSearchSettings(Settings):
         3,
         bounds=(1, 20),
         doc="Rounds over all cells at each size: three more at the smallest, one less when hidden views are left "
-        "out and in the fine search.",
+        "out.",
     )
     radius = Integer(3, bounds=(1, 15), unit="cells", doc="Half the side of the window on the ground.")
     step = Integer(1, bounds=(1, 5), unit="cells", doc="Every how many cells of the window one is compared.")
     share = Number(
-        40.0,
+        60.0,
         bounds=(5.0, 100.0),
         unit="%",
         doc="Of the views that see a cell, so many count: those that agree best. Others may be in shadow.",
@@ -29,8 +29,10 @@ class HeightSearchSettings(Settings):
         1,
         bounds=(0, 15),
         unit="cells",
-        doc="Half the side of the window of a last search among neighbours' planes, for sharp walls; 0: none.",
+        doc="Half the side of the window of a last search, at steps in height: of a cell's plane and its "
+        "neighbours' each is compared in the views that would see it. Walls become sharp; 0: none.",
     )
+    fine_rounds = Integer(8, bounds=(1, 50), doc="Rounds of the last search: a wall moves by a cell in each.")
     hidden_views = Boolean(True, doc="Search again without the views from which the first heights hide a cell.")
 
 
@@ -47,7 +49,7 @@ class HeightFillSettings(Settings):
         doc="Connected cells of similar height that are fewer than this go.",
     )
     similar = Number(1.5, bounds=(0.01, 100.0), unit="m", doc="Step between neighbours that are one surface.")
-    median = Integer(3, bounds=(1, 15), unit="cells", doc="Side of the median filter at the end; 1: none.")
+    median = Integer(5, bounds=(1, 15), unit="cells", doc="Side of the median filter at the end; 1: none.")
     fill = Choice(
         "low",
         choices=("low", "none"),
