@@ -18,23 +18,19 @@ import numpy as np
 from PIL import Image
 
 from toolkit.depth.height_dsm import heights_on
-from toolkit.depth.height_map import GroundView, match_heights
+from toolkit.depth.height_map import match_heights
 from toolkit.depth.height_settings import HeightSettings
-from toolkit.geometry.affine_camera import AffineCamera
 from toolkit.geometry.ground_grid import GroundGrid
-from toolkit.geometry.rpc_settings import RpcRefinementSettings
-from toolkit.matching.features import SiftSettings
 from toolkit.matching.match_tracks import match_tracks
-from toolkit.matching.pairs import PairSettings
 from toolkit.matching.scene_matches import match_scene
 from toolkit.metrics.elevation import ElevationErrors, compare_heights
 from toolkit.poses.satellite import ground_box, pictures_to_match, refine_satellite, with_affine_cameras
 from toolkit.progress import TqdmProgress
+from toolkit.recipes.satellite_steps import SatelliteSettings, ground_views
 from toolkit.samples.city import CitySettings, make_city, open_city
 from toolkit.samples.registry import locate
 from toolkit.scene import Scene
 from toolkit.scene.dsm_files import SurfaceModel, read_dsm
-from toolkit.scene.pictures import load_grey
 from toolkit.scene.satellite import open_satellite
 from toolkit.views.fisher import select_views
 from toolkit.views.settings import ViewSelectionSettings
@@ -44,49 +40,31 @@ HEAD = ("views", "MAE m", "RMSE m", "median m", "spread m", "within 1 m", "s")
 
 def agreeing(scene: Scene, work: Path) -> tuple[Scene, np.ndarray]:
     """Return the scene with affine cameras that agree and pictures of eight bits, and the box of its ground."""
-    bar = TqdmProgress()
-    pictures = pictures_to_match(scene, work / "pictures", progress=bar)
+    bar, settings = TqdmProgress(), SatelliteSettings()
+    pictures = pictures_to_match(scene, work, progress=bar)
     start = time.perf_counter()
-    found = match_scene(
-        pictures,
-        work / "matches.db",
-        SiftSettings(max_features=8192),
-        PairSettings(method="exhaustive"),
-        progress=bar,
-    )
+    found = match_scene(pictures, work / "matches.db", settings.sift, settings.pairs, settings.match, progress=bar)
     bar.close()
-    refined = refine_satellite(scene, match_tracks(found.database, pictures), RpcRefinementSettings())
+    refined = refine_satellite(scene, match_tracks(found.database, pictures), settings.refine)
     told = refined.to_dict()
     print(
         f"{len(scene)} views, {told['points']} tie points: residuals {told['rms_before_px']:.2f} px as delivered, "
         f"{told['rms_px']:.2f} px corrected; {time.perf_counter() - start:.0f} s"
     )
-    box = ground_box(refined.scene)
-    local, fitted = with_affine_cameras(refined.scene, box)
+    box = ground_box(refined.scene, margin=settings.margin)
+    local, fitted = with_affine_cameras(refined.scene, box, pictures)
     print(
         f"affine cameras over {box[1] - box[0]} m: {max(one.rms_px for one in fitted):.3f} px rms, "
         f"{max(one.max_px for one in fitted):.3f} px at most, of the worst view"
     )
-    names = [frame.name for frame in pictures.frames]
-    frames = tuple(
-        type(frame)(name, frame.camera_id, frame.cam_from_world)
-        for frame, name in zip(local.frames, names, strict=True)
-    )
-    return local.replace(image_dir=pictures.image_dir, frames=frames, points=None), box
+    return local, box
 
 
 def measure(
     scene: Scene, chosen: Sequence[int], box: np.ndarray, truth: SurfaceModel, resolution: float
 ) -> tuple[ElevationErrors, np.ndarray, float]:
     """Return the errors of heights matched in some views, the heights on the truth's grid, and seconds."""
-    views = []
-    for number in chosen:
-        frame = scene.frames[number]
-        camera = scene.camera_of(frame)
-        assert isinstance(camera, AffineCamera)
-        assert frame.cam_from_world is not None
-        grey = load_grey(scene.image_path(frame)).astype(np.float32) / 255
-        views.append(GroundView(grey, camera, frame.cam_from_world))
+    views = ground_views(scene, [scene.frames[number] for number in chosen])
     grid = GroundGrid.over(box, resolution)
     start = time.perf_counter()
     made = match_heights(views, grid, (float(box[0, 2]), float(box[1, 2])), HeightSettings())

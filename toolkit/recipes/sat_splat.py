@@ -53,7 +53,14 @@ def run(data: RecipeInput, settings: SatSplatSettings, context: RecipeContext) -
     scene = local.replace(points=_start(made, local, settings.max_points, context.seed))
     posed = PosedStages((*found.stages, heights), found.metrics())
     result = train_flat(
-        RecipeInput(data.scene, None, data.fingerprint), posed, scene, scene, settings.train, context, lpips
+        RecipeInput(data.scene, None, data.fingerprint),
+        posed,
+        scene,
+        scene,
+        settings.train,
+        context,
+        lpips,
+        training_views=True,
     )
     assert result.gaussians is not None
     start = time.perf_counter()
