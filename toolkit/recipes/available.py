@@ -10,6 +10,11 @@ from toolkit.depth.moge_depth import DEFAULT_WEIGHTS as MOGE_WEIGHTS
 from toolkit.depth.settings import DepthSettings
 from toolkit.depth.transformers_depth import DEFAULT_WEIGHTS as DPT_WEIGHTS
 from toolkit.depth.video_depth import DEFAULT_WEIGHTS as VIDEO_WEIGHTS
+from toolkit.poses.feedforward.depth_anything import DEFAULT_WEIGHTS as DA3_WEIGHTS
+from toolkit.poses.feedforward.dust3r import DEFAULT_WEIGHTS as DUST3R_WEIGHTS
+from toolkit.poses.feedforward.mast3r import DEFAULT_WEIGHTS as MAST3R_WEIGHTS
+from toolkit.poses.feedforward.settings import FeedForwardSettings
+from toolkit.poses.feedforward.vggt import DEFAULT_WEIGHTS as VGGT_WEIGHTS
 from toolkit.recipes.colmap_3dgs import Colmap3dgsSettings
 from toolkit.recipes.depth_fusion import DepthFusionSettings
 from toolkit.recipes.noposegs import NoposegsSettings
@@ -17,6 +22,13 @@ from toolkit.recipes.slam_noposegs import OrbslamNoposegsSettings
 from toolkit.settings import Settings
 
 _PACKAGES = {"transformers": "transformers", "moge": "moge", "video": "video_depth_anything"}
+#: Of networks that say cameras and points: their packages and their usual weights.
+_NETWORKS = {
+    "vggt": ("vggt", VGGT_WEIGHTS),
+    "dust3r": ("dust3r", DUST3R_WEIGHTS),
+    "mast3r": ("mast3r", MAST3R_WEIGHTS),
+    "depth-anything-3": ("depth_anything_3", DA3_WEIGHTS),
+}
 
 
 def missing_here(settings: Settings) -> str:
@@ -33,6 +45,9 @@ def missing_here(settings: Settings) -> str:
         return _no_depth(settings.external.depth, "external.depth")
     if isinstance(settings, Colmap3dgsSettings) and settings.depth_loss.weight == 0:
         return ""
+    network = getattr(settings, "network", None)
+    if isinstance(network, FeedForwardSettings):
+        return _no_network(network)
     depth = getattr(settings, "depth", None)
     return _no_depth(depth) if isinstance(depth, DepthSettings) else ""
 
@@ -49,10 +64,21 @@ def _no_depth(depth: DepthSettings, group: str = "depth") -> str:
         "video": VIDEO_WEIGHTS,
     }[depth.provider]
     weights = depth.weights or default
-    lacking = _no_package(package)
-    if lacking or depth.download or Path(weights).exists() or _in_hub_cache(weights):
-        return lacking
-    return f"weights missing: no '{weights}' (hf download {weights}, or set depth.download or depth.weights)"
+    return _no_package(package) or _no_weights(weights, depth.download, "depth")
+
+
+def _no_network(network: FeedForwardSettings) -> str:
+    if network.provider == "file":
+        there = Path(network.file or "\0").exists()
+        return "" if there else "predictions missing: network.file names no file or folder"
+    package, default = _NETWORKS[network.provider]
+    return _no_package(package) or _no_weights(network.weights or default, network.download, "network")
+
+
+def _no_weights(weights: str, download: bool, group: str) -> str:
+    if download or Path(weights).exists() or _in_hub_cache(weights):
+        return ""
+    return f"weights missing: no '{weights}' (hf download {weights}, or set {group}.download or {group}.weights)"
 
 
 def _no_package(name: str) -> str:

@@ -14,6 +14,7 @@ def all_recipes() -> dict[str, Recipe]:
     from toolkit.recipes.cf_3dgs import RECIPE as CF_3DGS
     from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS
     from toolkit.recipes.depth_fusion import RECIPE as DEPTH_FUSION
+    from toolkit.recipes.dust3r_views import RECIPE as DUST3R_VIEWS
     from toolkit.recipes.mvs_poisson import RECIPE as MVS_POISSON
     from toolkit.recipes.nerf import DS_NERF, NERF
     from toolkit.recipes.noposegs import RECIPE as NOPOSEGS
@@ -25,6 +26,7 @@ def all_recipes() -> dict[str, Recipe]:
     from toolkit.recipes.sensor_fused import RECIPE as SENSOR_FUSED
     from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM
     from toolkit.recipes.splat_mesh import RECIPE as SPLAT_MESH
+    from toolkit.recipes.vggt_ba import RECIPE as VGGT_BA
 
     recipes = (
         *(COLMAP_3DGS, CF_3DGS, NOPOSEGS, ORBSLAM, ORB_PNP),
@@ -33,7 +35,7 @@ def all_recipes() -> dict[str, Recipe]:
         *(NERF, DS_NERF),
         *(MVS_POISSON, DEPTH_FUSION),
         SPLAT_MESH,
-        *(SAT_COLMAP_3DGS, SAT_HEIGHTS, SAT_SPLAT),
+        *(SAT_COLMAP_3DGS, SAT_HEIGHTS, SAT_SPLAT, VGGT_BA, DUST3R_VIEWS),
     )
     return {recipe.name: recipe for recipe in recipes}
 
