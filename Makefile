@@ -84,6 +84,7 @@ bench: $(VENV)/.dev  ## Measure (six hours): rasterizer, training, poses, SLAM, 
 	$(BIN)/python tests/benchmarks/view_selection.py
 	$(BIN)/python tests/benchmarks/rpc_cameras.py
 	$(BIN)/python tests/benchmarks/satellite.py --work runs/bench-satellite
+	$(BIN)/python tests/benchmarks/satellite_networks.py
 	$(BIN)/python tests/benchmarks/feedforward_ba.py
 	$(BIN)/python tests/benchmarks/dashboard.py
 	$(BIN)/python tests/benchmarks/sweep.py
