@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from toolkit.depth.monocular import DepthPrediction
-from toolkit.errors import StageError
+from toolkit.errors import CapabilityError, StageError
 from toolkit.geometry.affine_camera import AffineCamera
+from toolkit.geometry.ground_grid import GroundGrid
 from toolkit.geometry.rpc_camera import RpcCamera
-from toolkit.poses.satellite import ground_box, require_rpc_cameras, with_affine_cameras
+from toolkit.poses.satellite import ground_box, pictures_to_match, require_rpc_cameras, with_affine_cameras
 from toolkit.progress import silent
 from toolkit.recipes import held_depth, sat_colmap_3dgs, sat_splat
 from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult
@@ -22,6 +24,11 @@ from toolkit.samples.city import CitySample, CitySettings, make_city
 from toolkit.scene import Frame, Scene
 from toolkit.scene.dataset import open_capture
 from toolkit.scene.dsm_files import read_dsm
+from toolkit.scene.pictures import load_mask, load_picture
+from toolkit.scene.raster import read_raster
+from toolkit.scene.raster_io import write_raster
+from toolkit.scene.satellite import open_satellite
+from toolkit.splat import elevation
 from toolkit.workspace import Workspace
 
 pytest.importorskip("rasterio", reason="satellite pictures need rasterio (extra 'geo')")
@@ -83,13 +90,62 @@ def test_a_splat_of_the_city_has_its_heights(city: CitySample, place: Path, made
     few = {"heights.search.levels": 3, "heights.search.iterations": 2, "train.steps": 60, "max_points": 4000}
     settings = sat_splat.SatSplatSettings().replace(few)
     result = sat_splat.run(RecipeInput(capture.scene, capture.reference, "city"), settings, context(place))
-    assert all(time.reused for time in result.times if time.name in ("features", "matches", "refine", "heights"))
+    # All but what the splat needs.
+    assert {time.name for time in result.times if time.reused} == {
+        *("pictures", "features", "matches", "refine", "affine", "heights")
+    }
     # Held-out pictures of other suns, after some steps: more than a grey picture, which has 13 dB.
     assert result.metrics["test.psnr"] > 15.0
     assert len(result.test_views) == 1
     assert result.metrics["dsm.median_absolute"] < 0.7
     assert result.metrics["sfm.registered"] == 7
     assert result.gaussians is not None
+
+
+def test_a_splat_that_is_nowhere_opaque_has_no_heights_and_says_so(
+    city: CitySample, place: Path, made: RecipeResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(gaussians: object, grid: GroundGrid, settings: object, *, device: str) -> np.ndarray:
+        return np.full((grid.rows, grid.columns), np.nan, np.float32)
+
+    monkeypatch.setattr(elevation, "splat_heights", nothing)
+    capture = open_capture(city.folder)
+    few = {"heights.search.levels": 3, "heights.search.iterations": 2, "train.steps": 2, "max_points": 500}
+    settings = sat_splat.SatSplatSettings().replace(few)
+    run = context(place / "nothing", work=place / "work")
+    result = sat_splat.run(RecipeInput(capture.scene, capture.reference, "city"), settings, run)
+    assert result.reports["dsm"] == {"reason": "the splat is nowhere opaque from above"}
+    assert not any(name.startswith("dsm.") for name in result.metrics)
+    assert result.metrics["heights.filled"] == 1.0
+
+
+@pytest.mark.parametrize("changes", [{}, {"train.backend": "cuda"}])
+def test_a_splat_on_the_gpu_is_refused_before_any_work(
+    city: CitySample, tmp_path: Path, changes: dict[str, str]
+) -> None:
+    run = dataclasses.replace(context(tmp_path), device="cpu" if changes else "cuda")
+    settings = sat_splat.SatSplatSettings().replace(changes)
+    with pytest.raises(CapabilityError, match=r"Affine cameras are drawn on the CPU alone; expected device cpu"):
+        sat_splat.run(RecipeInput(open_capture(city.folder).scene, None, "city"), settings, run)
+    assert not any((tmp_path / "work").rglob("*.png"))
+
+
+def test_what_holds_no_data_is_masked_and_stretched_from_what_does(city: CitySample, tmp_path: Path) -> None:
+    """A picture that was turned on its way has a collar, which would be the darkest and sharpest thing in it."""
+    for i in range(2):
+        pixels = read_raster(city.delivered(i)).values.astype(np.uint16)
+        pixels[:, :, :40] = 0
+        write_raster(tmp_path / f"{i}.tif", pixels, rpc=city.views[i].rpc, nodata=0)
+    scene = pictures_to_match(open_satellite(tmp_path), tmp_path / "made")
+    assert [frame.name for frame in scene.frames] == ["0.png", "1.png"]
+    for frame in scene.frames:
+        mask, picture = load_mask(scene, frame), load_picture(scene.image_path(frame))
+        assert mask is not None
+        assert not mask[:, :40].any()
+        assert mask[:, 40:].all()
+        assert not picture[:, :40].any()
+        # A percent is cut at either end.
+        assert (picture[:, 40:] == 255).mean() == pytest.approx(0.01, abs=0.005)
 
 
 class Ramp:
