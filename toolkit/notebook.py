@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from toolkit.poses.camera_comparison import ModelComparison
+    from toolkit.poses.feedforward.simulated import SimulatedNoiseSettings
     from toolkit.runs.folder import RunFolder
+    from toolkit.samples.city import CitySample, CitySettings
     from toolkit.samples.engine import EngineSettings
     from toolkit.samples.make import SampleSettings
     from toolkit.scene import Scene
@@ -59,15 +61,21 @@ class CellProgress:
 
 
 def sample_folder(
-    work: Path, settings: SampleSettings | EngineSettings, *, seed: int = 0, progress: Progress = silent
+    work: Path,
+    settings: SampleSettings | EngineSettings | CitySettings,
+    *,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> Path:
-    """Return the folder of a sample flight or engine below ``work``, making it where it is not there.
+    """Return the folder of a sample flight, engine or city below ``work``, making it where it is not there.
 
     Its name tells the settings apart, so that a changed setting never meets an older sample. Raises as
-    :func:`toolkit.samples.make.make_sample` and :func:`toolkit.samples.engine.make_engine`.
+    :func:`toolkit.samples.make.make_sample`, :func:`toolkit.samples.engine.make_engine` and
+    :func:`toolkit.samples.city.make_city`.
     """
     # Open3D, which casts the rays, else writes about a viewer of its own into the cell.
     os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "True")
+    from toolkit.samples.city import CitySettings, make_city
     from toolkit.samples.engine import EngineSettings, make_engine
     from toolkit.samples.make import make_sample
     from toolkit.workspace import fingerprint
@@ -76,6 +84,8 @@ def sample_folder(
     mark = fingerprint(made_with)[:8]
     if isinstance(settings, EngineSettings):
         return make_engine(work / f"engine-{mark}", settings, seed=seed, progress=progress).folder
+    if isinstance(settings, CitySettings):
+        return make_city(work / f"city-{mark}", settings, seed=seed, progress=progress).folder
     folder = work / f"town-{mark}"
     if not folder.is_dir():
         make_sample(folder, settings, seed=seed, progress=progress)
@@ -168,6 +178,61 @@ def surface_measures(run: RunFolder) -> dict[str, float | None]:
     measures = {title: None if value is None else factor * value for title, value, factor in known}
     spent = sum(time.seconds for time in result.times if not time.name.startswith("measure"))
     return {**measures, "time [s]": round(spent)}
+
+
+#: Of satellites: name in a table, metric, factor.
+_SATELLITE = (
+    ("views", "sfm.images", 1.0),
+    ("views with a camera", "sfm.registered", 1.0),
+    ("residual as delivered [px]", "rpc.rms_before_px", 1.0),
+    ("residual [px]", "rpc.rms_px", 1.0),
+    ("training views: L1", "training.l1", 1.0),
+    ("training views: PSNR [dB]", "training.psnr", 1.0),
+    ("held-out views: PSNR [dB]", "test.psnr", 1.0),
+    ("tie points off before [px]", "adjust.error_before_px", 1.0),
+    ("tie points off [px]", "adjust.error_px", 1.0),
+    ("height error before, mean [m]", "dsm_before.mae", 1.0),
+    ("height error, mean [m]", "dsm.mae", 1.0),
+    ("height error, median [m]", "dsm.median_absolute", 1.0),
+    ("within 1 m [%]", "dsm.within_1m", 100.0),
+)
+
+
+def satellite_measures(run: RunFolder) -> dict[str, float | None]:
+    """Return what a run on satellite pictures measured, only what it has, and its time without measuring."""
+    result = run.result()
+    known = {title: (result.metrics.get(name), factor) for title, name, factor in _SATELLITE}
+    measures = {title: factor * value for title, (value, factor) in known.items() if value is not None}
+    spent = sum(time.seconds for time in result.times if not time.name.startswith("measure"))
+    return {**measures, "time [s]": round(spent)}
+
+
+def simulated_predictions(
+    work: Path, city: CitySample, names: Sequence[str], settings: SimulatedNoiseSettings, *, seed: int = 0
+) -> Path:
+    """Return a file, below ``work``, of what a network might say of a city's pictures: the truth with errors.
+
+    Its name tells pictures and settings apart. Raises as
+    :func:`toolkit.poses.feedforward.simulated_satellite.simulate_satellite_prediction`.
+    """
+    from toolkit.poses.feedforward.predictions_file import write_predictions
+    from toolkit.poses.feedforward.simulated_satellite import simulate_satellite_prediction
+    from toolkit.poses.satellite import ground_box
+    from toolkit.samples.city.seen import seen_points
+    from toolkit.workspace import fingerprint
+
+    made_with = {"city": city.folder.name, "names": sorted(names), "settings": settings.to_dict(), "seed": seed}
+    path = work / f"simulated-{fingerprint(made_with)[:8]}.npz"
+    if not path.is_file():
+        whole = city.true_scene
+        scene = whole.replace(frames=tuple(frame for frame in whole.frames if frame.name in names))
+        numbers = {view.name: i for i, view in enumerate(city.views)}
+        box = ground_box(scene, heights=city.city.heights)
+        said = simulate_satellite_prediction(
+            scene, lambda frame: seen_points(city, numbers[frame.name]), box, settings, seed=seed
+        )
+        write_predictions(path, said)
+    return path
 
 
 def best_text(columns: Mapping[str, Mapping[str, float | None]], better: Mapping[str, str]) -> str:

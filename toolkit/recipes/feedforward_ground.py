@@ -36,7 +36,7 @@ CLOUD = "cloud.ply"
 
 def _on_the_ground() -> ReferenceSettings:
     # Before bundle adjustment a network's points are off by several percent of what they show.
-    return ReferenceSettings(max_error_share=5.0, min_share=20.0)
+    return ReferenceSettings(max_error_share=10.0, min_share=20.0)
 
 
 class GroundSettings(Settings):
