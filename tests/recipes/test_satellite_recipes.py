@@ -177,8 +177,8 @@ def test_colmap_places_few_pictures_and_says_so(
     monkeypatch.setattr(held_depth, "depth_provider", lambda settings: Ramp())
     settings = few.replace({"depth_loss.weight": 0.5})
     held = sat_colmap_3dgs.run(data, settings, context(place / "held", work=place / "plain" / "work"))
-    assert [time.name for time in held.times if not time.reused][:2] == ["depth", "compile"]
-    assert held.reports["depth"] == {"images": len(train), "source": "a ramp", "kinds": ["affine-disparity"]}
+    assert [time.name for time in held.times if not time.reused][:2] == ["depth-maps", "compile"]
+    assert held.reports["depth-maps"] == {"images": len(train), "source": "a ramp", "kinds": ["affine-disparity"]}
     assert held.metrics["training.l1"] != plain.metrics["training.l1"]
 
 

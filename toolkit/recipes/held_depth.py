@@ -24,6 +24,7 @@ from toolkit.splat.depth_settings import DepthLossSettings
 if TYPE_CHECKING:  # Whoever reads settings does without PyTorch.
     from toolkit.splat.depth_loss import PredictedDepth
 
+STAGE = "depth-maps"
 #: Longer side at which predictions are kept: networks see less, and splats are mostly trained at no more.
 _MOST = 800
 
@@ -45,7 +46,7 @@ class HeldDepth:
     loss: DepthLossSettings
 
     def stage(self, flat: CachedStage, scene_folder: str, context: RecipeContext) -> CachedStage:
-        """Return the stage depth: predictions for the training photos of the scene in an earlier stage's folder.
+        """Return the stage ``STAGE``: predictions for the training photos of an earlier stage's scene.
 
         Raises
         ------
@@ -56,7 +57,7 @@ class HeldDepth:
         def maps_into(folder: Path) -> dict[str, Any]:
             scene = read_scene(flat.folder / scene_folder)
             kinds = set()
-            for number, frame in enumerate(track(scene.of_split("train"), "depth", context.progress)):
+            for number, frame in enumerate(track(scene.of_split("train"), STAGE, context.progress)):
                 prediction = self.provider.predict(scene, frame)
                 kinds.add(prediction.kind)
                 with atomic_path(folder / f"{number:05d}.npy") as temporary, temporary.open("wb") as handle:
@@ -65,7 +66,7 @@ class HeldDepth:
 
         return cached_stage(
             context,
-            "depth",
+            STAGE,
             inputs={flat.time.name: flat.output.key, "files": source_files(self.source)},
             settings=self.source,
             code=(depth,),
@@ -73,7 +74,7 @@ class HeldDepth:
         )
 
     def predicted(self, maps: CachedStage, scene: Scene) -> PredictedDepth:
-        """Return what stage depth holds for a scene's training photos."""
+        """Return what that stage holds for a scene's training photos."""
         from toolkit.splat.depth_loss import PredictedDepth
 
         values = {

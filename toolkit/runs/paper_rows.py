@@ -29,6 +29,7 @@ STAGE_PARTS: Mapping[str, Part] = {
     "chain": "poses",
     "flatten": "scene",
     "undistort": "scene",
+    "depth-maps": "scene",
     "cf-3dgs": "scene",
     "train": "scene",
     "intrinsics": "not counted",
