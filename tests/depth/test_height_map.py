@@ -102,6 +102,18 @@ def test_a_block_of_houses_is_found(found: HeightMap) -> None:
     assert found.to_dict()["known"] == 1.0
 
 
+def test_cells_that_few_pictures_show_get_no_height(views: list[GroundView]) -> None:
+    # Pictures reach 4 m beyond the block and lean aside by at most 0.4 m a metre; 20 m farther none has anything.
+    wide = GroundGrid.over(BOX + np.array([[-20.0, 0, 0], [0, 0, 0]]), CELL)
+    made = match_heights(views, wide, (0.0, 12.0), HeightSettings(), seed=1)
+    east = wide.places()[..., 0]
+    assert np.isnan(made.heights[east < -9]).all()
+    assert not made.filled[east < -9].any()
+    assert np.isfinite(made.heights[east > 0]).all()
+    none = match_heights(views, wide, (0.0, 12.0), HeightSettings().replace({"keep.min_seen": 0.0}), seed=1)
+    assert np.isfinite(none.heights).all()
+
+
 def widened(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Level planes (H, W, 3), every roof two cells wider on all sides."""
     planes = np.zeros((*heights.shape, 3))

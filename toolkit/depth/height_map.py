@@ -190,10 +190,22 @@ def match_heights(
     heights = planes[..., 0].astype(np.float32)
     leaning = search.slope_cost * np.abs(planes[..., 1:]).sum(axis=-1)
     confidence = np.clip(1 - (cost - leaning), 0, 1).astype(np.float32)
-    kept = trusted_heights(heights, confidence, settings.keep)
-    filled = np.isnan(kept) if settings.keep.fill == "low" else np.zeros(kept.shape, bool)
+    beyond = _seen_by(views, grid, heights) < settings.keep.min_seen / 100
+    kept = trusted_heights(np.where(beyond, np.float32(np.nan), heights), confidence, settings.keep)
+    filled = np.isnan(kept) & ~beyond if settings.keep.fill == "low" else np.zeros(kept.shape, bool)
     whole = fill_low(kept) if settings.keep.fill == "low" else kept
+    whole[beyond] = np.nan
     return HeightMap(grid, smoothed(whole, settings.keep.median), confidence, filled, len(views))
+
+
+def _seen_by(views: Sequence[GroundView], grid: GroundGrid, heights: Image) -> Array:
+    """Return the share (rows, columns) of the views in whose pictures each cell lies at its height."""
+    place = np.dstack([grid.places(), heights, np.ones(heights.shape)])
+    seen = np.zeros(heights.shape)
+    for view in views:
+        pixel = place @ view.matrix.T
+        seen += ((pixel >= 0) & (pixel < view.grey.shape[::-1])).all(axis=-1)
+    return seen / len(views)
 
 
 def _check(views: Sequence[GroundView], height_range: tuple[float, float]) -> None:

@@ -42,6 +42,13 @@ class HeightFillSettings(Settings):
     min_confidence = Number(
         0.3, bounds=(0.0, 1.0), doc="Cells whose views agree less (mean correlation) have no height."
     )
+    min_seen = Number(
+        30.0,
+        bounds=(0.0, 100.0),
+        unit="%",
+        doc="Cells that lie in fewer of the pictures have no height and get none: beyond where views overlap two "
+        "or three of many agree by chance.",
+    )
     min_island = Integer(
         30,
         bounds=(0, 1_000_000),

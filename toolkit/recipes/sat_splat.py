@@ -65,12 +65,15 @@ def run(data: RecipeInput, settings: SatSplatSettings, context: RecipeContext) -
     assert result.gaussians is not None
     start = time.perf_counter()
     drawn = splat_heights(result.gaussians, made.grid, settings.train, device=context.device)
-    holes = np.isnan(drawn)
     fills = settings.heights.keep.fill == "low"
+    if fills:  # what has no height then lies where too few views overlap
+        drawn[np.isnan(made.heights)] = np.nan
+    holes = np.isnan(drawn)
     metrics: dict[str, float | None] = {}
     report: dict[str, Any] = {"reason": "the splat is nowhere opaque from above"}
     if not holes.all():
-        metrics, report = dsm_artifacts(fill_low(drawn) if fills else drawn, made.grid, data.scene, context)
+        whole = np.where(np.isnan(made.heights), np.nan, fill_low(drawn)) if fills else drawn
+        metrics, report = dsm_artifacts(whole, made.grid, data.scene, context)
     measured = StageTime("measure heights", time.perf_counter() - start)
     return dataclasses.replace(
         result,
