@@ -27,7 +27,7 @@ from toolkit.metrics.elevation import ElevationErrors, compare_heights
 from toolkit.poses.satellite import ground_box, pictures_to_match, refine_satellite, with_affine_cameras
 from toolkit.progress import TqdmProgress
 from toolkit.recipes.satellite_steps import SatelliteSettings, ground_views
-from toolkit.samples.city import CitySettings, make_city, open_city
+from toolkit.samples.city import CitySettings, make_city
 from toolkit.samples.registry import locate
 from toolkit.scene import Scene
 from toolkit.scene.dsm_files import SurfaceModel, read_dsm
@@ -104,8 +104,7 @@ def _relief(heights: np.ndarray) -> np.ndarray:
 def city(work: Path, counts: Sequence[int], seeds: int) -> None:
     """Measure the city."""
     bar = TqdmProgress()
-    folder = work / "city"
-    sample = open_city(folder) if folder.is_dir() else make_city(folder, CitySettings(), progress=bar)
+    sample = make_city(work / "city", CitySettings(), progress=bar)
     bar.close()
     scene, box = agreeing(sample.scene, work / "city-work")
     half = 0.5 * sample.settings.plan.size

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from fake_recipe import RECIPE, FakeSettings, write_photos
@@ -14,9 +15,11 @@ from toolkit.files import write_json
 from toolkit.progress import ProgressEvent
 from toolkit.recipes import registry
 from toolkit.recipes.nerf import NERF
+from toolkit.recipes.sat_heights import RECIPE as SAT_HEIGHTS
 from toolkit.runs import paper_runs
 from toolkit.runs.index import list_runs
-from toolkit.samples import drone_flights, engine
+from toolkit.samples import city, drone_flights, engine
+from toolkit.samples.city import CitySettings
 from toolkit.samples.data_set import MARKER
 from toolkit.samples.registry import find_data_set
 
@@ -145,3 +148,25 @@ def test_tables_of_radiance_fields_are_made_of_segments_of_a_film(
     assert (tmp_path / "out" / "tables2and3.md").is_file()
     assert main([*command, "--stride", "0"]) == 2
     assert "A stride must be positive" in capsys.readouterr().err
+
+
+def test_the_satellite_table_makes_its_city_and_names_what_is_not_there(
+    tmp_path: Path, places: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quick = dataclasses.replace(SAT_HEIGHTS, run=lambda data, _, context: RECIPE.run(data, FakeSettings(), context))
+    monkeypatch.setattr(registry, "all_recipes", lambda: {"sat-heights": quick})
+    asked: list[tuple[Path, dict[str, object], int]] = []
+
+    def make_city(folder: Path, settings: CitySettings, *, seed: int, progress: object) -> SimpleNamespace:
+        asked.append((folder, settings.to_dict(), seed))
+        return SimpleNamespace(folder=write_photos(folder))
+
+    monkeypatch.setattr(city, "make_city", make_city)
+    assert main(["table", "satellite-3d", "--rows", "heights", "colmap", "--seed", "4", *places]) == 0
+    said = capsys.readouterr().out
+    assert asked == [(tmp_path / "runs" / ".data" / "city-4", CitySettings().to_dict(), 4)]
+    assert "| COLMAP + 3DGS | not there: no recipe 'sat-colmap-3dgs' |" in said
+    assert "| RPCs, heights matched over the ground | " in said
+    assert said.index("| COLMAP") < said.index("| RPCs, heights")
+    assert (tmp_path / "out" / "methods.md").is_file()
+    assert len(list_runs(tmp_path / "runs")) == 1

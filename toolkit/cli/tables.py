@@ -199,14 +199,8 @@ def _satellite(arguments: argparse.Namespace) -> None:
 def _city(runs_dir: Path, seed: int, progress: Progress) -> Path:
     """Return the city that the table takes, made where it is missing: 20 views of 256 m, half a metre a pixel."""
     from toolkit.samples.city import CitySettings, make_city
-    from toolkit.workspace import fingerprint
 
-    settings = CitySettings()
-    # Cities of other settings that an older version made are not taken for this one.
-    folder = runs_dir / _FLIGHTS / f"city-{seed}-{fingerprint(settings.to_dict())[:8]}"
-    if not folder.is_dir():
-        make_city(folder, settings, seed=seed, progress=progress)
-    return folder
+    return make_city(runs_dir / _FLIGHTS / f"city-{seed}", CitySettings(), seed=seed, progress=progress).folder
 
 
 def _drones(arguments: argparse.Namespace) -> None:
