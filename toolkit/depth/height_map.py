@@ -190,7 +190,8 @@ def match_heights(
     heights = planes[..., 0].astype(np.float32)
     leaning = search.slope_cost * np.abs(planes[..., 1:]).sum(axis=-1)
     confidence = np.clip(1 - (cost - leaning), 0, 1).astype(np.float32)
-    beyond = _seen_by(views, grid, heights) < settings.keep.min_seen / 100
+    # Two at least: one picture tells no height.
+    beyond = _seen_by(views, grid, heights) < max(2, settings.keep.min_seen / 100 * len(views))
     kept = trusted_heights(np.where(beyond, np.float32(np.nan), heights), confidence, settings.keep)
     filled = np.isnan(kept) & ~beyond if settings.keep.fill == "low" else np.zeros(kept.shape, bool)
     whole = fill_low(kept) if settings.keep.fill == "low" else kept
@@ -199,13 +200,13 @@ def match_heights(
 
 
 def _seen_by(views: Sequence[GroundView], grid: GroundGrid, heights: Image) -> Array:
-    """Return the share (rows, columns) of the views in whose pictures each cell lies at its height."""
+    """Return in how many (rows, columns) of the views' pictures each cell lies at its height."""
     place = np.dstack([grid.places(), heights, np.ones(heights.shape)])
     seen = np.zeros(heights.shape)
     for view in views:
         pixel = place @ view.matrix.T
         seen += ((pixel >= 0) & (pixel < view.grey.shape[::-1])).all(axis=-1)
-    return seen / len(views)
+    return seen
 
 
 def _check(views: Sequence[GroundView], height_range: tuple[float, float]) -> None:

@@ -46,8 +46,8 @@ class HeightFillSettings(Settings):
         30.0,
         bounds=(0.0, 100.0),
         unit="%",
-        doc="Cells that lie in fewer of the pictures have no height and get none: beyond where views overlap two "
-        "or three of many agree by chance.",
+        doc="Cells that lie in fewer of the pictures, or in fewer than two, have no height and get none: beyond "
+        "where views overlap two or three of many agree by chance.",
     )
     min_island = Integer(
         30,

@@ -9,8 +9,12 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 
 from toolkit.errors import DataError
+from toolkit.geometry.rpc_angles import viewing_ray
+from toolkit.geometry.rpc_camera import RpcCamera
 from toolkit.plots.pictures import eight_bit, picture_trace
 from toolkit.plots.style import GRID, NEUTRAL, colour, figure, shown
+from toolkit.scene import Scene
+from toolkit.scene.footprints import footprint
 
 Array = NDArray[np.float64]
 
@@ -240,3 +244,21 @@ def _angles(directions: Array) -> tuple[Array, Array]:
     """Return zenith angles (n,) and azimuths (n,), clockwise from north, in degrees."""
     east, north, up = directions.T
     return np.degrees(np.arctan2(np.hypot(east, north), up)), np.degrees(np.arctan2(east, north)) % 360
+
+
+def satellite_maps(scene: Scene) -> tuple[go.Figure, go.Figure] | None:
+    """Return where satellites stood in the sky, and the outlines of their pictures on the ground.
+
+    None for a scene in which not every frame has an RPC camera.
+    """
+    views = {
+        frame.name: camera for frame in scene.frames if isinstance(camera := scene.camera_of(frame), RpcCamera)
+    }
+    if not views or len(views) < len(scene):
+        return None
+    towards = np.array([viewing_ray(camera.rpc).direction for camera in views.values()])
+    sky = sky_figure({"satellites": towards}, list(views), title="Directions to the satellites")
+    altitude = next(iter(views.values())).origin[2]
+    outlines = {name: footprint(camera, altitude) for name, camera in views.items()}
+    label = f"{altitude:.0f} m above the ellipsoid"
+    return sky, footprints_figure({label: outlines}, title="Outlines on the ground, by the RPCs as delivered")

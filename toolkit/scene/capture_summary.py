@@ -23,6 +23,7 @@ _MOST_VALUES = 3
 _MOST_NAMES = 5
 #: Metres across within which receivers without RTK scatter: positions that lie as close tell no way.
 _STANDSTILL = 1.0
+_DAY = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +151,11 @@ def _time_row(capture: Capture, facts: Sequence[PhotoFacts]) -> SummaryRow | Non
         missing = f"; not told by {len(facts) - len(taken)} of them" if len(taken) < len(facts) else ""
         return SummaryRow("Taken", f"{first:%Y-%m-%d %H:%M:%S} to {until}{missing}", varies=bool(missing))
     times = [frame.time for frame in capture.scene.frames if frame.time is not None]
-    return SummaryRow("Length", f"{max(times) - min(times):.1f} s") if len(times) > 1 else None
+    if len(times) < 2:
+        return None
+    length = max(times) - min(times)
+    # Passes of satellites are days apart.
+    return SummaryRow("Length", f"{length:.1f} s" if length < 2 * _DAY else f"{length / _DAY:.0f} days")
 
 
 def _height_row(facts: Sequence[PhotoFacts]) -> SummaryRow | None:

@@ -15,6 +15,7 @@ from toolkit.plots.base_map import base_map
 from toolkit.plots.match_graph import match_map_figure
 from toolkit.plots.matches import match_graph_figure
 from toolkit.plots.photo_quality import sharpness_figure
+from toolkit.plots.satellite import satellite_maps
 from toolkit.plots.scene_map import scene_map
 from toolkit.progress import Progress
 from toolkit.runs.match_graph import MatchGraph, has_match_graphs, match_graphs
@@ -161,7 +162,10 @@ def _drawable(capture: Capture) -> tuple[Scene, Scene | None] | None:
 
 
 def _maps(capture: Capture) -> tuple[go.Figure | None, go.Figure | None]:
-    """Return the map in space and that from above."""
+    """Return the map in space and that from above; of satellite pictures the sky, and outlines on the ground."""
+    seen_from_orbit = satellite_maps(capture.scene)
+    if seen_from_orbit is not None:
+        return seen_from_orbit
     drawable = _drawable(capture)
     if drawable is None:
         return None, None

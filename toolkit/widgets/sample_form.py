@@ -1,4 +1,4 @@
-"""Making a sample: a flight over a town or blades of an engine, drawn here, with the truth beside it."""
+"""Making a sample: a flight over a town, blades of an engine or a city from orbit, with the truth beside it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import panel as pn
 from toolkit.errors import DataError, SettingsError, ToolkitError
 from toolkit.progress import Progress
 from toolkit.samples import SampleSettings, make_sample
+from toolkit.samples.city import CitySettings, make_city
 from toolkit.samples.drone_flights import FLIGHTS, OrbitVideoSettings, make_drone_flight
 from toolkit.samples.engine import EngineSettings, make_engine
 from toolkit.scene.new_folder import new_folder
@@ -22,13 +23,19 @@ _WIDTH = 260
 _MARGIN = (4, 8)
 _PICTURES = "pictures"
 _LARGEST_SEED = 2**31 - 1
-_ENGINE = "engine"
-_KINDS: dict[str, type[Settings]] = {_PICTURES: SampleSettings, **FLIGHTS, _ENGINE: EngineSettings}
+_ENGINE, _CITY = "engine", "city"
+_KINDS: dict[str, type[Settings]] = {
+    _PICTURES: SampleSettings,
+    **FLIGHTS,
+    _ENGINE: EngineSettings,
+    _CITY: CitySettings,
+}
 _TITLES = {
     _PICTURES: "Pictures of a flight",
     "orbit": "Filmed orbit",
     "spiral": "Filmed spiral",
     _ENGINE: "Blades of an engine",
+    _CITY: "City seen from orbit",
 }
 
 
@@ -107,7 +114,7 @@ class SampleForm(pn.viewable.Viewer):
     def _show_form(self) -> None:
         self._place[:] = [self.form]
         what = _KINDS[self._kind.value].__doc__ or ""
-        show_html(self._about, notes([what.strip(), "A picture takes some tenths of a second."]))
+        show_html(self._about, notes([what.strip(), "A picture takes a second or less."]))
 
 
 def _made(folder: Path, settings: Settings, seed: int, progress: Progress) -> Path:
@@ -118,6 +125,8 @@ def _made(folder: Path, settings: Settings, seed: int, progress: Progress) -> Pa
         make_drone_flight(folder, settings, seed=seed, progress=progress)
     elif isinstance(settings, EngineSettings):
         make_engine(folder, settings, seed=seed, progress=progress)
+    elif isinstance(settings, CitySettings):
+        make_city(folder, settings, seed=seed, progress=progress)
     else:
         raise SettingsError("These are no settings of a sample", found=type(settings).__name__)
     return folder
