@@ -18,9 +18,14 @@ def model(rows: int, columns: int, west: float = 500.0, north: float = 900.0, si
 def test_models_of_different_grids_lie_where_the_map_has_them() -> None:
     found, true = model(40, 60, west=495.0, north=905.0), model(20, 40)
     drawn = surface_models_figure({"<found>": found, "true": true}, true, most=3.0, title="city")
-    images = [trace for trace in drawn.data if trace.type == "image"]
-    maps = [trace for trace in drawn.data if trace.type == "heatmap"]
-    assert (len(images), len(maps)) == (2, 3)
+    images, maps = drawn.layout.images, drawn.data
+    assert [trace.type for trace in maps] == ["heatmap"] * 3
+    assert [
+        (one.xref, one.yref, one.x, one.y, one.sizex, one.sizey, one.xanchor, one.yanchor) for one in images
+    ] == [
+        ("x", "y", 0, 10, 20, 10, None, None),  # from the left and the top, by default
+        ("x2", "y2", 0, 10, 20, 10, None, None),
+    ]
     # Both begin in the north-west corner of the true one, which is the smaller: rows go south from there.
     for trace in maps:
         assert (trace.x0, trace.dx, trace.y0, trace.dy) == (0.25, 0.5, 9.75, -0.5)
@@ -45,7 +50,7 @@ def test_slopes_towards_the_light_are_bright_and_the_unknown_stays_empty() -> No
     heights[:, 40:] = -np.arange(20)  # falls to the east
     heights[:, 30] = np.nan
     drawn = surface_models_figure({"a": SurfaceModel(heights, (0.0, 0.0), 1.0, "EPSG:32617")})
-    (image,) = [trace for trace in drawn.data if trace.type == "image"]
+    (image,) = drawn.layout.images
     grey = np.asarray(Image.open(io.BytesIO(base64.b64decode(image.source.split(",")[1]))).convert("L"), float)
     assert grey[15, 10] > grey[15, 25] + 20 > grey[15, 50] + 40
     (map_,) = [trace for trace in drawn.data if trace.type == "heatmap"]

@@ -67,7 +67,7 @@ def surface_models_figure(
     )
     for column, model in enumerate(drawn_models.values(), start=1):
         corner = (model.origin[0] - west, model.origin[1] - south)
-        drawn.add_trace(_relief(model, corner), row=1, col=column)
+        drawn.add_layout_image(_relief(model, corner), row=1, col=column)
         drawn.add_trace(_colours(model, corner, "coloraxis", opacity=_TINT), row=1, col=column)
     low, high = np.percentile(values, [1, 99])
     bar = min(0.3, 0.9 / len(titles))
@@ -157,8 +157,11 @@ def _thinned(model: SurfaceModel) -> SurfaceModel:
     return SurfaceModel(model.heights[::step, ::step], model.origin, step * model.resolution, model.crs)
 
 
-def _relief(model: SurfaceModel, corner: tuple[float, float]) -> go.Image:
-    """Return the model's shades as a picture whose top left corner is at ``corner``."""
+def _relief(model: SurfaceModel, corner: tuple[float, float]) -> go.layout.Image:
+    """Return the model's shades as a picture below the traces whose top left corner is at ``corner``.
+
+    A trace of the type image, with rows that go south on an axis that goes north, would be drawn upside down.
+    """
     if min(model.heights.shape) > 1:
         down, right = np.gradient(model.heights.astype(np.float64), model.resolution)
     else:
@@ -166,9 +169,17 @@ def _relief(model: SurfaceModel, corner: tuple[float, float]) -> go.Image:
     normal = np.stack([-right, down, np.ones_like(right)], axis=-1)
     light = np.clip((normal @ _LIGHT) / np.linalg.norm(normal, axis=-1), 0, 1)
     grey = np.where(np.isfinite(light), 255 * light, _UNKNOWN)
-    drawn = picture_trace(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8))
-    side = model.resolution
-    return drawn.update(x0=corner[0] + side / 2, dx=side, y0=corner[1] - side / 2, dy=-side)
+    source = picture_trace(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)).source
+    rows, columns = model.heights.shape
+    return go.layout.Image(
+        source=source,
+        x=corner[0],
+        y=corner[1],
+        sizex=columns * model.resolution,
+        sizey=rows * model.resolution,
+        sizing="stretch",
+        layer="below",
+    )
 
 
 def _colours(model: SurfaceModel, corner: tuple[float, float], axis: str, *, opacity: float = 1.0) -> go.Heatmap:
