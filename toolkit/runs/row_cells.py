@@ -12,4 +12,4 @@ def number_cell(value: float | None, digits: int = 0, factor: float = 1.0) -> st
 
 def seconds_cell(result: StoredResult) -> str:
     """Return the whole seconds of all stages but measuring."""
-    return f"{sum(time.seconds for time in result.times if time.name != 'measure'):.0f}"
+    return f"{sum(time.seconds for time in result.times if not time.name.startswith('measure')):.0f}"
