@@ -10,7 +10,7 @@ from typing import Final
 from toolkit.files import write_text
 from toolkit.runs.paper_rows import PaperRow
 from toolkit.runs.paper_runs import Attempt
-from toolkit.runs.row_cells import number_cell, seconds_cell
+from toolkit.runs.row_cells import by_data, number_cell, seconds_cell
 
 _RECIPE: Final = "blades-sequential"
 #: Widths of the picture from which an unknown lens starts: the engine's has 0.64.
@@ -99,8 +99,7 @@ class ArcTable:
 
 def arc_tables(attempts: Sequence[Attempt]) -> list[ArcTable]:
     """Return one table a data set, in the order of the attempts."""
-    names = list(dict.fromkeys(attempt.data for attempt in attempts))
-    return [ArcTable(name, tuple(each for each in attempts if each.data == name)) for name in names]
+    return [ArcTable(name, of_it) for name, of_it in by_data(attempts).items()]
 
 
 def write_arc_tables(tables: Sequence[ArcTable], folder: Path) -> Path:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from toolkit.files import write_text
 from toolkit.runs.paper_rows import PaperRow
 from toolkit.runs.paper_runs import Attempt
-from toolkit.runs.row_cells import number_cell, seconds_cell
+from toolkit.runs.row_cells import by_data, number_cell, seconds_cell
 
 #: Equal for all rows: true poses, sparse points triangulated from faint features, what does not turn masked.
 COMMON: Final[Mapping[str, Any]] = {
@@ -166,10 +166,7 @@ class NerfTable:
 
 def nerf_tables(attempts: Sequence[Attempt], *, stride: int, window: int) -> list[NerfTable]:
     """Return the tables of each film, in the order of the attempts."""
-    names = list(dict.fromkeys(attempt.data for attempt in attempts))
-    return [
-        NerfTable(name, tuple(each for each in attempts if each.data == name), stride, window) for name in names
-    ]
+    return [NerfTable(name, of_it, stride, window) for name, of_it in by_data(attempts).items()]
 
 
 def write_nerf_tables(tables: Sequence[NerfTable], folder: Path) -> Path:

@@ -11,7 +11,7 @@ from typing import Final
 from toolkit.files import write_text
 from toolkit.runs.paper_rows import PaperRow
 from toolkit.runs.paper_runs import Attempt
-from toolkit.runs.row_cells import number_cell, seconds_cell
+from toolkit.runs.row_cells import by_data, number_cell, seconds_cell
 
 #: Rows in the order of the paper's sections; ours after them.
 ROWS: Final = (
@@ -108,8 +108,7 @@ _NOTES: Final = (
 
 def satellite_tables(attempts: Sequence[Attempt]) -> list[SatelliteTable]:
     """Return one table a data set, in the order of the attempts."""
-    names = list(dict.fromkeys(attempt.data for attempt in attempts))
-    return [SatelliteTable(name, tuple(each for each in attempts if each.data == name)) for name in names]
+    return [SatelliteTable(name, of_it) for name, of_it in by_data(attempts).items()]
 
 
 def write_satellite_tables(tables: Sequence[SatelliteTable], folder: Path) -> Path:
