@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from toolkit.cli.common import add, with_bar
 from toolkit.errors import DataError, SettingsError
@@ -14,9 +14,18 @@ if TYPE_CHECKING:
     from toolkit.progress import Progress
     from toolkit.runs.nerf_table import NerfRow
     from toolkit.runs.paper_rows import PaperRow
+    from toolkit.runs.paper_runs import Attempt, TableOptions
     from toolkit.samples.drone_flights import OrbitVideoSettings
 
 Row = TypeVar("Row", "PaperRow", "NerfRow")
+
+
+class MarkdownTable(Protocol):
+    """A table that can be printed."""
+
+    def markdown(self) -> str:
+        """Return it as Markdown."""
+
 
 #: Data sets of photographs that the table takes where they are on this machine.
 _PHOTOS = ("uav_brighton_beach", "uav_sheffield_cross")
@@ -99,24 +108,47 @@ def _table(arguments: argparse.Namespace) -> None:
         _drones(arguments)
 
 
-def _blades(arguments: argparse.Namespace) -> None:
+def _attempts(
+    arguments: argparse.Namespace,
+    rows: Sequence[PaperRow],
+    wishes: Mapping[str, Any],
+    usual: Callable[[Progress], Mapping[str, Path]],
+) -> list[Attempt]:
+    """Run the rows on the data that are named, or on the usual ones; a wish of None is none."""
     from toolkit.recipes import registry
-    from toolkit.runs.blades_table import ROWS, arc_tables, write_arc_tables
-    from toolkit.runs.paper_runs import TableOptions, make_attempts
+    from toolkit.runs.paper_runs import make_attempts
 
-    rows = _rows(ROWS, arguments.rows)
-    changes = {"pairs.overlap": 4 if arguments.window is None else arguments.window}
-    options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
+    options = _options(arguments, wishes)
     given = None if arguments.data is None else _named(arguments.data)
 
-    def work(bar: Progress) -> list[Any]:
-        data = given if given is not None else {"engine": _engine(arguments.runs, arguments.seed, bar)}
+    def work(bar: Progress) -> list[Attempt]:
+        data = usual(bar) if given is None else given
         return make_attempts(rows, data, registry.all_recipes(), options, progress=bar)
 
-    tables = arc_tables(with_bar(work))
-    file = write_arc_tables(tables, arguments.out)
+    return with_bar(work)
+
+
+def _options(arguments: argparse.Namespace, wishes: Mapping[str, Any]) -> TableOptions:
+    from toolkit.runs.paper_runs import TableOptions
+
+    changes = {name: value for name, value in wishes.items() if value is not None}
+    return TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
+
+
+def _tell(tables: Sequence[MarkdownTable], file: Path) -> None:
     print("\n".join(table.markdown() for table in tables))
     print(f"Wrote {file}")
+
+
+def _blades(arguments: argparse.Namespace) -> None:
+    from toolkit.runs.blades_table import ROWS, arc_tables, write_arc_tables
+
+    wishes = {"pairs.overlap": 4 if arguments.window is None else arguments.window}
+    rows = _rows(ROWS, arguments.rows)
+    tables = arc_tables(
+        _attempts(arguments, rows, wishes, lambda bar: {"engine": _engine(arguments.runs, arguments.seed, bar)})
+    )
+    _tell(tables, write_arc_tables(tables, arguments.out))
 
 
 def _engine(runs_dir: Path, seed: int, progress: Progress) -> Path:
@@ -131,7 +163,6 @@ def _nerf(arguments: argparse.Namespace) -> None:
     from toolkit.recipes import registry
     from toolkit.runs.nerf_runs import make_nerf_attempts
     from toolkit.runs.nerf_table import ROWS, nerf_tables, write_nerf_tables
-    from toolkit.runs.paper_runs import TableOptions
 
     stride = arguments.stride
     if stride < 1:
@@ -144,8 +175,7 @@ def _nerf(arguments: argparse.Namespace) -> None:
         "train.steps": arguments.train_steps,
         "train.max_side": arguments.max_side,
     }
-    changes = {name: value for name, value in wishes.items() if value is not None}
-    options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
+    options = _options(arguments, wishes)
     given = None if arguments.data is None else _named(arguments.data)
 
     def work(bar: Progress) -> list[Any]:
@@ -161,9 +191,7 @@ def _nerf(arguments: argparse.Namespace) -> None:
         )
 
     tables = nerf_tables(with_bar(work), stride=stride, window=window)
-    file = write_nerf_tables(tables, arguments.out)
-    print("\n".join(table.markdown() for table in tables))
-    print(f"Wrote {file}")
+    _tell(tables, write_nerf_tables(tables, arguments.out))
 
 
 def _film(runs_dir: Path, seed: int, progress: Progress) -> Path:
@@ -176,24 +204,14 @@ def _film(runs_dir: Path, seed: int, progress: Progress) -> Path:
 
 
 def _satellite(arguments: argparse.Namespace) -> None:
-    from toolkit.recipes import registry
-    from toolkit.runs.paper_runs import TableOptions, make_attempts
     from toolkit.runs.satellite_table import ROWS, satellite_tables, write_satellite_tables
 
-    rows = _rows(ROWS, arguments.rows)
     wishes = {"train.steps": arguments.train_steps, "train.max_side": arguments.max_side}
-    changes = {name: value for name, value in wishes.items() if value is not None}
-    options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
-    given = None if arguments.data is None else _named(arguments.data)
-
-    def work(bar: Progress) -> list[Any]:
-        data = given if given is not None else {"city": _city(arguments.runs, arguments.seed, bar)}
-        return make_attempts(rows, data, registry.all_recipes(), options, progress=bar)
-
-    tables = satellite_tables(with_bar(work))
-    file = write_satellite_tables(tables, arguments.out)
-    print("\n".join(table.markdown() for table in tables))
-    print(f"Wrote {file}")
+    rows = _rows(ROWS, arguments.rows)
+    tables = satellite_tables(
+        _attempts(arguments, rows, wishes, lambda bar: {"city": _city(arguments.runs, arguments.seed, bar)})
+    )
+    _tell(tables, write_satellite_tables(tables, arguments.out))
 
 
 def _city(runs_dir: Path, seed: int, progress: Progress) -> Path:
@@ -204,10 +222,8 @@ def _city(runs_dir: Path, seed: int, progress: Progress) -> Path:
 
 
 def _drones(arguments: argparse.Namespace) -> None:
-    from toolkit.recipes import registry
     from toolkit.runs.paper_figures import render_grid, write_trajectories
     from toolkit.runs.paper_rows import ROWS
-    from toolkit.runs.paper_runs import TableOptions, make_attempts
     from toolkit.runs.paper_table import paper_table
     from toolkit.runs.paper_text import table_markdown, write_table
 
@@ -217,15 +233,7 @@ def _drones(arguments: argparse.Namespace) -> None:
         "train.max_side": arguments.max_side,
         "train.refine_test_steps": arguments.fit_steps,
     }
-    changes: dict[str, Any] = {name: value for name, value in wishes.items() if value is not None}
-    options = TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
-    given = None if arguments.data is None else _named(arguments.data)
-
-    def work(bar: Progress) -> list[Any]:
-        data = given if given is not None else _usual_data(arguments.runs, arguments.seed, bar)
-        return make_attempts(rows, data, registry.all_recipes(), options, progress=bar)
-
-    attempts = with_bar(work)
+    attempts = _attempts(arguments, rows, wishes, lambda bar: _usual_data(arguments.runs, arguments.seed, bar))
     table = paper_table(attempts)
     files = write_table(table, arguments.out)
     for rank in ("median", "worst"):
