@@ -11,7 +11,7 @@ import toolkit
 
 ROOT = Path(toolkit.__file__).parent
 
-GROUND_FLOOR = {"checkpoint", "errors", "files", "optional", "progress", "settings", "workspace"}
+GROUND_FLOOR = {"checkpoint", "errors", "files", "optional", "pretrained", "progress", "settings", "workspace"}
 
 # What each room may import besides itself and the ground floor. A room that is not listed may not exist.
 MAY_IMPORT: dict[str, set[str]] = {
@@ -26,9 +26,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "views": {"geometry", "scene"},
     "splat": {"geometry", "scene", "metrics"},
     "nerf": {"geometry", "scene", "metrics"},
+    "localize": {"geometry", "scene", "metrics", "matching", "splat"},
     "recipes": {
         *("geometry", "scene", "metrics", "samples", "capture", "matching", "poses", "depth", "views"),
-        *("splat", "nerf"),
+        *("splat", "nerf", "localize"),
     },
     "plots": {"geometry", "scene", "metrics", "views"},
     "runs": {"geometry", "scene", "metrics", "views", "splat", "recipes", "plots"},
@@ -44,6 +45,7 @@ GROUND_MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "files": {"errors"},
     "optional": {"errors"},
+    "pretrained": {"errors"},
     "progress": {"errors"},
     "settings": {"errors"},
     "workspace": {"errors", "files"},

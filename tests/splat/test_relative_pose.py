@@ -27,7 +27,7 @@ from toolkit.splat.local_gaussians import (
     local_gaussians,
 )
 from toolkit.splat.rasterize import rasterize
-from toolkit.splat.relative_pose import _turn_about, find_relative_pose, median_depth
+from toolkit.splat.relative_pose import turn_about, find_relative_pose, median_depth
 from toolkit.splat.train_settings import TrainSettings
 
 START = RigidTransform.identity()
@@ -129,7 +129,7 @@ def test_a_pose_that_is_not_finite_is_an_error(flight: tuple[Path, Scene], first
 
 def test_the_camera_turns_about_the_point_it_looks_at() -> None:
     eta = torch.tensor([0.0, 0, 0, 0.1, -0.2, 0.3], dtype=torch.float64)
-    motion = exp_se3(_turn_about(5.0) @ eta)
+    motion = exp_se3(turn_about(5.0) @ eta)
     point = torch.tensor([0.0, 0, 5, 1], dtype=torch.float64)
     torch.testing.assert_close(motion @ point, point, atol=1e-12, rtol=0)
     torch.testing.assert_close(motion[:3, :3], exp_se3(eta)[:3, :3], atol=1e-12, rtol=0)

@@ -20,6 +20,7 @@ from toolkit.depth.monocular import (
 )
 from toolkit.errors import CapabilityError, DataError, WeightsMissingError
 from toolkit.optional import require
+from toolkit.pretrained import download_command, load_pretrained, require_complete
 from toolkit.scene import Frame, Scene
 
 #: The network of "3D Gaussian splatting from drone video", section 3.2.2.
@@ -66,8 +67,7 @@ class TransformersDepth:
         self._weights = weights or DEFAULT_WEIGHTS
         self._device = checked_device(device)
         _check_folder(self._weights)
-        local = {"local_files_only": not download, "trust_remote_code": False}
-        config = _load(transformers.AutoConfig, self._weights, download, **local)
+        config = self._load(transformers.AutoConfig, download)
         if config.model_type not in _KINDS:
             raise CapabilityError(
                 f"The network '{self._weights}' is not supported",
@@ -77,22 +77,27 @@ class TransformersDepth:
             )
         metric = config.model_type == "depth_anything" and config.depth_estimation_type == "metric"
         self._kind: DepthKind = kind or ("metric" if metric else "affine-disparity")
-        self._processor = _load(transformers.AutoImageProcessor, self._weights, download, **local)
-        model, info = _load(
-            transformers.AutoModelForDepthEstimation,
-            self._weights,
-            download,
-            use_safetensors=True,
-            output_loading_info=True,
-            **local,
+        self._processor = self._load(transformers.AutoImageProcessor, download)
+        model, info = self._load(
+            transformers.AutoModelForDepthEstimation, download, use_safetensors=True, output_loading_info=True
         )
-        _check_complete(self._weights, info)
+        require_complete(self._weights, info, unused=_UNUSED)
         self._model = model.to(self._device).eval()
 
     @property
     def name(self) -> str:
         """Type of the network and its weights."""
         return f"{self._model.config.model_type} {self._weights}"
+
+    def _load(self, kind: Any, download: bool, **options: Any) -> Any:
+        return load_pretrained(
+            kind,
+            self._weights,
+            what="depth network",
+            files="the files of DPT or Depth Anything for transformers",
+            download=download,
+            **options,
+        )
 
     def predict(self, scene: Scene, frame: Frame) -> DepthPrediction:
         """Return the network's output, resampled to the picture's size.
@@ -138,67 +143,12 @@ def _check_folder(weights: str) -> None:
                 f"Weights missing: {folder} is no folder of a depth network",
                 expected=", ".join([*files, "model.safetensors"]),
                 found="no " + ", no ".join(missing),
-                todo="Get the whole folder again, for example: " + _command(DEFAULT_WEIGHTS, folder),
+                todo="Get the whole folder again, for example: " + download_command(DEFAULT_WEIGHTS, folder),
             )
     elif not _HUB_NAME.fullmatch(weights):
         raise WeightsMissingError(
             f"Weights missing: there is no folder '{weights}'",
             expected="a folder with config.json, preprocessor_config.json and model.safetensors, or a name on the "
             "hub (owner/model)",
-            todo="For example: " + _command(DEFAULT_WEIGHTS, folder),
-        )
-
-
-def _command(name: str, folder: Path | None = None) -> str:
-    return f"hf download {name}" + (f" --local-dir {folder}" if folder is not None else "")
-
-
-def _load(kind: Any, weights: str, download: bool, **options: Any) -> Any:
-    """Return ``kind.from_pretrained``; whatever goes wrong is told as one of our errors."""
-    from safetensors import SafetensorError
-
-    try:
-        return kind.from_pretrained(weights, **options)
-    except SafetensorError as error:
-        raise _damaged(weights, error) from error
-    except (OSError, ValueError, RuntimeError, KeyError, TypeError) as error:
-        # A missing file of the hub is an OSError; of a folder that was checked before, it is damage.
-        if Path(weights).is_dir() or not isinstance(error, OSError):
-            raise _damaged(weights, error) from error
-        looked = (
-            "the Hugging Face hub and its cache" if download else "the Hugging Face cache (no download was asked)"
-        )
-        ask = "" if download else "or set download, "
-        raise WeightsMissingError(
-            f"Weights missing: no '{weights}' as safetensors",
-            expected=f"a folder of this name, or the network in {looked}",
-            found=_line(error),
-            todo=f"Run: {_command(weights)}, {ask}or set weights to a folder that has it",
-        ) from error
-
-
-def _damaged(weights: str, error: Exception) -> DataError:
-    return DataError(
-        f"The depth network in '{weights}' cannot be loaded",
-        expected="the files of DPT or Depth Anything for transformers",
-        found=_line(error),
-        todo="Get its files again",
-    )
-
-
-def _line(error: Exception) -> str:
-    """Return the first sentence or so of a long message, on one line."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= 300 else text[:300] + "..."
-
-
-def _check_complete(weights: str, info: dict[str, Any]) -> None:
-    """Raise where the file lacks weights; those of another shape transformers itself refuses."""
-    missing = sorted(name for name in info["missing_keys"] if not name.startswith(_UNUSED))
-    if missing:
-        raise DataError(
-            f"The file of '{weights}' does not hold all weights of the network",
-            expected="every weight",
-            found=f"{len(missing)} missing: " + ", ".join(missing[:3]),
-            todo="Get its files again",
+            todo="For example: " + download_command(DEFAULT_WEIGHTS, folder),
         )

@@ -39,7 +39,7 @@ def run_colmap(
     """
     _check_disk(writes_to)
     token = pycolmap.CancellationToken()
-    with _quiet(), ThreadPoolExecutor(max_workers=1) as pool:
+    with quiet_colmap(), ThreadPoolExecutor(max_workers=1) as pool:
         future = pool.submit(call, token)
         try:
             while not future.done():
@@ -60,7 +60,7 @@ def _check_disk(path: Path | None) -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet_colmap() -> Iterator[None]:
     """Keep COLMAP's log off the standard error output; what matters is reported by the stages themselves."""
     before = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)

