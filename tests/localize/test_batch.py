@@ -20,6 +20,8 @@ from toolkit.localize.starts import Start
 from toolkit.progress import ProgressEvent
 from toolkit.scene import Frame, Scene
 
+ONCE = OneShotSettings().replace({"match.method": "sift"})
+
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Scene:
@@ -57,14 +59,14 @@ def test_a_batch_tells_what_was_found_and_how_well(flight: Scene) -> None:
     record = json.loads(json.dumps(batch.to_dict(), allow_nan=False))
     assert [row["found"] for row in record["queries"]] == [True, True, False]
     assert record["method"] == "ours"
-    once = localize_batch(OneShot(ground, OneShotSettings()), flight, starts[:1])
+    once = localize_batch(OneShot(ground, ONCE), flight, starts[:1])
     assert once.method == "one-shot-sift"
     assert once.found[0].rounds == 1
 
 
 def test_no_start_is_an_error(flight: Scene) -> None:
     with pytest.raises(DataError, match="Nothing to localise"):
-        localize_batch(OneShot(ground_map(), OneShotSettings()), flight, [])
+        localize_batch(OneShot(ground_map(), ONCE), flight, [])
 
 
 def test_a_camera_of_another_kind_is_named(tmp_path: Path) -> None:

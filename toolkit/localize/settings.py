@@ -23,7 +23,10 @@ class OneShotSettings(Settings):
     render_side = Integer(
         1024, bounds=(32, 8192), unit="px", doc="Longer side of what is rendered; never more than the photo's."
     )
-    match = Group(PictureMatchSettings(), doc="Features of photo and render, and their matches")
+    match = Group(
+        PictureMatchSettings(method="aliked-lightglue", max_features=1024),
+        doc="Features of photo and render, and their matches; the paper's are superpoint-lightglue",
+    )
     pnp = Group(PnpSettings(max_error=8.0), doc="The pose from matches and depth")
 
 
