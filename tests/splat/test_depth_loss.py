@@ -63,6 +63,19 @@ def test_it_is_what_least_squares_says() -> None:
     assert value(drawn, prediction, weights, "pearson").item() == pytest.approx(1 - correlation, rel=1e-12)
 
 
+def test_absolute_knows_the_unit() -> None:
+    drawn, prediction, weights = images()
+    known = torch.isfinite(prediction) & (weights > 0)
+    x, p, w = (image[known].numpy() for image in (drawn, prediction, weights))
+    mean = np.average(p, weights=w)
+    expected = np.average(np.abs(x - p), weights=w) / np.sqrt(np.average((p - mean) ** 2, weights=w))
+    assert value(drawn, prediction, weights, "absolute").item() == pytest.approx(expected, rel=1e-12)
+    assert value(prediction, prediction, weights, "absolute").item() == 0.0
+    assert value(prediction + 1, prediction, weights, "absolute").item() > 0.1
+    image = drawn.requires_grad_()
+    assert torch.autograd.gradcheck(lambda drawn: value(drawn, prediction, weights, "absolute"), (image,))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_scale_and_shift_of_either_image_change_nothing(kind: DepthKind) -> None:
     drawn, prediction, weights = images()

@@ -26,7 +26,7 @@ from toolkit.splat.images import Photo
 from toolkit.splat.rasterize import RenderOutput
 from toolkit.splat.train_settings import decayed
 
-DepthKind = Literal["scale-shift", "pearson"]
+DepthKind = Literal["scale-shift", "pearson", "absolute"]
 DepthPredicts = Literal["disparity", "depth"]
 #: A pixel of another size has a prediction where this share of what it covers has one.
 _LEAST_KNOWN: Final = 0.5
@@ -37,16 +37,17 @@ _MIN_PIXELS: Final = 3
 def depth_loss(
     drawn: Tensor, prediction: Tensor, weights: Tensor, *, kind: DepthKind = "scale-shift"
 ) -> Tensor | None:
-    """Return how much a drawn image differs from a prediction, whatever the prediction's scale and shift.
+    """Return how much a drawn image differs from a prediction, mostly whatever the prediction's scale and shift.
 
     With m the weighted means, S the standard deviation of the prediction p, and the scale s = |cov(x, p)| / var(x)
     that brings the drawn x nearest to p:
 
     - ``"scale-shift"``: the mean of \\|s (x - m_x) - (p - m_p)\\| / S;
-    - ``"pearson"``: one minus the correlation of x and p.
+    - ``"pearson"``: one minus the correlation of x and p;
+    - ``"absolute"``: the mean of \\|x - p\\| / S, for predictions in the scene's own unit, as stereo's.
 
-    The scale is taken as positive: a fit that turns near into far would be none. Both are 0 where x is p in another
-    unit, and about 1 where they have nothing in common; the unit of neither matters.
+    The scale is taken as positive: a fit that turns near into far would be none. The first two are 0 where x is p
+    in another unit, and about 1 where they have nothing in common; the unit of neither matters.
 
     Parameters
     ----------
@@ -67,10 +68,13 @@ def depth_loss(
         return None
     x, p, w = drawn[known], prediction[known].to(drawn), weights[known].to(drawn)
     w = w / w.sum()
+    apart = (w * (x - p).abs()).sum()
     x, p = x - (w * x).sum(), p - (w * p).sum()
     variance_x, variance_p, covariance = (w * x * x).sum(), (w * p * p).sum(), (w * x * p).sum()
     if not (float(variance_x.detach()) > 0 and float(variance_p) > 0):
         return None
+    if kind == "absolute":
+        return apart / variance_p.sqrt()
     if kind == "pearson":
         return 1 - covariance / (variance_x * variance_p).sqrt()
     scale = covariance.abs() / variance_x

@@ -19,7 +19,7 @@ class DepthLossSettings(Settings):
     )
     kind = Choice(
         "scale-shift",
-        choices=("scale-shift", "pearson"),
+        choices=("scale-shift", "pearson", "absolute"),
         doc="scale-shift: mean difference after a least squares fit of scale and shift in each photo; pearson: one "
-        "minus the correlation.",
+        "minus the correlation; absolute: mean difference as it is, for depth in the scene's own unit.",
     )
