@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolkit.errors import SettingsError
-from toolkit.samples.town.layout import PAVEMENT_HALF_WIDTH, Building, TownPlan, TownSettings, plan_town
+from toolkit.errors import SettingsError, StageError
+from toolkit.samples.town.layout import PAVEMENT_HALF_WIDTH, Building, TownPlan, TownSettings, Tree, plan_town
 
 SEEDS = range(6)
+
+# The plan's turn, sums of yards and boxes, and places of the first and last house, the last tree and the last box.
+DEFAULT = [0.2804853176843012, 90.0, 94.0, -29.5573139004011, -29.38304895860537, 36.32715700641452]
+DEFAULT += [43.19462075857932, -63.86656428075815, 4.655774755143359, 36.0, -65.5]
+WIDE = [0.41955820409454614, 422.0, 451.0, -181.23891229024989, -43.6913176058563, -67.1728621796027]
+WIDE += [40.23824355950583, -154.90306340685567, 60.95503211180625, 109.0909090909091, -29.772727272727273]
 
 
 def plan(seed: int, **settings: object) -> TownPlan:
@@ -29,7 +35,7 @@ def houses(plan: TownPlan) -> list[list[Building]]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize(("extent", "count"), [(150.0, 40), (180.0, 34), (400.0, 15)])
+@pytest.mark.parametrize(("extent", "count"), [(150.0, 40), (180.0, 34), (400.0, 15), (430.0, 190)])
 def test_no_house_stands_on_a_street_or_the_square(seed: int, extent: float, count: int) -> None:
     made = plan(seed, extent=extent, buildings=count)
     assert len(houses(made)) == count
@@ -81,7 +87,24 @@ def test_a_seed_is_a_plan() -> None:
 
 
 def test_out_of_range_is_refused() -> None:
-    with pytest.raises(SettingsError, match=r"'buildings'.*expected whole number 15 to 40; found 60"):
-        TownSettings(buildings=60)
+    with pytest.raises(SettingsError, match=r"'buildings'.*expected whole number 15 to 800; found 6"):
+        TownSettings(buildings=6)
     with pytest.raises(SettingsError, match=r"'sun_elevation'.*number 5.0 to 90.0"):
         TownSettings(sun_elevation=-3.0)
+
+
+def test_more_houses_than_plots_are_refused() -> None:
+    with pytest.raises(StageError, match=r"too few plots: all are taken after \d+ houses.*Raise extent or lower"):
+        plan(0, extent=150.0, buildings=120)
+
+
+def test_plans_do_not_change() -> None:
+    def shape(**settings: object) -> list[float]:
+        made = plan(3, **settings)
+        ends = (made.buildings[0], made.buildings[-1], made.trees[-1], made.boxes[-1])
+        places = [end.position if isinstance(end, Tree) else end.centre for end in ends]
+        return [made.yaw, float(made.yards.sum()), float(len(made.boxes)), *np.concatenate(places)]
+
+    # As drawn when flights over them were first measured; a sample is told by its settings and seed alone.
+    np.testing.assert_allclose(shape(), DEFAULT, rtol=1e-12)
+    np.testing.assert_allclose(shape(extent=400.0, buildings=40, trees=300), WIDE, rtol=1e-12)

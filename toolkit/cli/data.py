@@ -23,6 +23,11 @@ _KINDS = {
     "town": ("Pictures of a town from a flight over it.", "--flight.frames 32"),
     "orbit-video": ("A filmed flight around the town.", "--flight.frames 180"),
     "spiral-video": ("A filmed flight over the town that widens turn by turn.", "--flight.turns 2"),
+    "nadir": ("A flight that looks straight down: photos for a map, and queries between them.", "--path.height 60"),
+    "nadir-queries": (
+        "Queries for the map of a nadir flight: other light, heights, places, a descent.",
+        "--queries.kind descent",
+    ),
     "engine": ("The blades of an engine, alike but for faint wear, seen by a borescope.", "--film.frames 990"),
     "city": ("A city seen by a satellite: RPCs, suns, air, and the true surface.", "--orbit.views 20"),
 }
@@ -51,11 +56,17 @@ def _settings_of(kind: str) -> type[Settings]:
     from toolkit.samples.drone_flights import FLIGHTS
     from toolkit.samples.engine import EngineSettings
     from toolkit.samples.make import SampleSettings
+    from toolkit.samples.nadir_flight import NadirFlightSettings
+    from toolkit.samples.nadir_queries import NadirQuerySampleSettings
 
-    if kind == "engine":
-        return EngineSettings
-    if kind == "city":
-        return CitySettings
+    others: dict[str, type[Settings]] = {
+        "engine": EngineSettings,
+        "city": CitySettings,
+        "nadir": NadirFlightSettings,
+        "nadir-queries": NadirQuerySampleSettings,
+    }
+    if kind in others:
+        return others[kind]
     return FLIGHTS.get(kind.removesuffix("-video"), SampleSettings)
 
 
@@ -64,6 +75,8 @@ def _sample(arguments: argparse.Namespace) -> None:
     from toolkit.samples.drone_flights import OrbitVideoSettings, make_drone_flight
     from toolkit.samples.engine import EngineSettings, make_engine
     from toolkit.samples.make import SampleSettings, make_sample
+    from toolkit.samples.nadir_flight import NadirFlightSettings, make_nadir_flight
+    from toolkit.samples.nadir_queries import NadirQuerySampleSettings, make_nadir_queries
 
     wanted = _settings_of(arguments.kind).from_flags(arguments)
     if isinstance(wanted, OrbitVideoSettings):
@@ -81,6 +94,21 @@ def _sample(arguments: argparse.Namespace) -> None:
         passing = wanted
         city = with_bar(lambda bar: make_city(arguments.to, passing, seed=arguments.seed, progress=bar))
         print(f"{len(city.views)} pictures from orbit and the true surface written to {arguments.to}")
+        return
+    if isinstance(wanted, NadirFlightSettings):
+        flying = wanted
+        scene = with_bar(lambda bar: make_nadir_flight(arguments.to, flying, seed=arguments.seed, progress=bar))
+        queries = sum(frame.split == "test" for frame in scene.frames)
+        print(f"{len(scene) - queries} photos for a map and {queries} queries written to {arguments.to}")
+        return
+    if isinstance(wanted, NadirQuerySampleSettings):
+        asked = wanted
+        scene = with_bar(
+            lambda bar: make_nadir_queries(
+                arguments.to, asked.flight, asked.queries, seed=arguments.seed, progress=bar
+            )
+        )
+        print(f"{len(scene)} queries written to {arguments.to}")
         return
     assert isinstance(wanted, SampleSettings)
     with_bar(lambda bar: make_sample(arguments.to, wanted, seed=arguments.seed, progress=bar))

@@ -93,8 +93,9 @@ def flight_poses(settings: FlightSettings, town: Town, rng: np.random.Generator)
         when there are fewer than two frames for each lawn-mower strip.
     """
     centres, headings = _PATHS[settings.pattern](settings)
-    centres = centres + settings.position_jitter * _jitter(settings, rng)
-    turns = np.radians(settings.angle_jitter) * _jitter(settings, rng)
+    width = settings.jitter_time / settings.frame_interval
+    centres = centres + settings.position_jitter * wavering(settings.frames, width, rng)
+    turns = np.radians(settings.angle_jitter) * wavering(settings.frames, width, rng)
     centres = _clear(settings, town, centres)
     by_pitch = settings.aim == "pitch" or (settings.aim == "auto" and settings.pattern == "lawnmower")
     target = np.array([0.0, 0.0, settings.look_at_height])
@@ -104,7 +105,7 @@ def flight_poses(settings: FlightSettings, town: Town, rng: np.random.Generator)
             nominal = heading_pose(centre, heading, np.radians(settings.pitch))
         else:
             nominal = RigidTransform.look_at(centre, target)
-        poses.append(_turned(nominal, turn))
+        poses.append(turned(nominal, turn))
     return poses
 
 
@@ -128,15 +129,14 @@ def strip_count(settings: FlightSettings) -> int:
     return max(2, int(np.ceil(2 * settings.radius / spacing - 1e-9)) + 1)
 
 
-def _jitter(settings: FlightSettings, rng: np.random.Generator) -> Array:
-    """Return random numbers (F, 3) of unit variance, those of frames close in time alike where settings say so."""
-    width = settings.jitter_time / settings.frame_interval
+def wavering(frames: int, width: float, rng: np.random.Generator) -> Array:
+    """Return random numbers (``frames``, 3) of unit variance, alike over about ``width`` frames; 0: independent."""
     if width == 0.0:
-        return rng.normal(size=(settings.frames, 3))
+        return rng.normal(size=(frames, 3))
     reach = int(np.ceil(3 * width))
     kernel = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / width))
     kernel /= np.linalg.norm(kernel)  # keeps the variance
-    noise = rng.normal(size=(settings.frames + 2 * reach, 3))
+    noise = rng.normal(size=(frames + 2 * reach, 3))
     return np.stack([np.convolve(noise[:, axis], kernel, mode="valid") for axis in range(3)], axis=1)
 
 
@@ -186,7 +186,7 @@ def _at_height(plane: Array, height: float) -> Array:
     return np.column_stack([plane, np.full(len(plane), height)])
 
 
-def _turned(pose: RigidTransform, turn: Array) -> RigidTransform:
+def turned(pose: RigidTransform, turn: Array) -> RigidTransform:
     """Return the pose turned about its own centre by the rotation vector ``turn`` (3,) in camera axes."""
     from scipy.spatial.transform import Rotation
 
@@ -194,7 +194,7 @@ def _turned(pose: RigidTransform, turn: Array) -> RigidTransform:
     return dataclasses.replace(pose, rotation=rotation, translation=-rotation @ pose.centre)
 
 
-def _obstacle(town: Town, centres: Array) -> list[str]:
+def obstacles(town: Town, centres: Array) -> list[str]:
     """Return for each camera centre (F, 3) what is wrong with it, or an empty text."""
     building = town.building_at(centres)
     clearance = town.clearance(centres)
@@ -213,7 +213,7 @@ def _obstacle(town: Town, centres: Array) -> list[str]:
     return found
 
 
-def _tops(town: Town, centres: Array) -> Array:
+def tops(town: Town, centres: Array) -> Array:
     """Return the heights (F,) in metres of the highest thing below or beside each camera centre (F, 3)."""
     angle = np.arange(8) * np.pi / 4
     ring = 1.5 * np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=1)
@@ -228,14 +228,14 @@ def _tops(town: Town, centres: Array) -> Array:
 
 def _clear(settings: FlightSettings, town: Town, centres: Array) -> Array:
     """Return camera centres (F, 3) that touch nothing: the given ones, or raised where ``climb`` allows it."""
-    reasons = _obstacle(town, centres)
+    reasons = obstacles(town, centres)
     blocked = np.flatnonzero([bool(reason) for reason in reasons])
     if not len(blocked):
         return centres
     if settings.climb:
         centres = centres.copy()
-        centres[blocked, 2] = _tops(town, centres[blocked]) + _CLIMB
-        reasons = _obstacle(town, centres)
+        centres[blocked, 2] = tops(town, centres[blocked]) + _CLIMB
+        reasons = obstacles(town, centres)
         blocked = np.flatnonzero([bool(reason) for reason in reasons])
         if not len(blocked):
             return centres

@@ -160,7 +160,14 @@ def _fly(
             time=readings[number].time,
             prior=prior_of(readings[number]),
         )
-        _save(view.colour, folder / "images" / frame.name, camera, readings[number], settings.sensors)
+        save_picture(
+            view.colour,
+            folder / "images" / frame.name,
+            camera,
+            readings[number],
+            tags=settings.sensors.write_tags,
+            rtk=settings.sensors.rtk,
+        )
         np.savez_compressed(depth_path(folder, frame), depth=view.depth)
         clouds.append(_sample_points(view, camera, pose, town.settings.extent, share, chooser))
         frames.append(frame)
@@ -175,14 +182,14 @@ def _fly(
     ).with_every_nth_as_test(_TEST_EVERY)
 
 
-def _save(
-    colour: NDArray[np.uint8], path: Path, camera: ColmapCamera, reading: SensorReading, sensors: SensorSettings
+def save_picture(
+    colour: NDArray[np.uint8], path: Path, camera: ColmapCamera, reading: SensorReading, *, tags: bool, rtk: bool
 ) -> None:
-    """Write a picture (H, W, 3), with the reading in its tags where the settings say so."""
+    """Write a picture (H, W, 3); with ``tags`` the reading is in them, with ``rtk`` the position's sigma, too."""
     metadata: dict[str, Any] = {}
-    if sensors.write_tags:
-        tags = tags_of(reading, ORIGIN, focal=camera.params[0], rtk=sensors.rtk)
-        metadata = {"exif": exif_block(tags, camera.width, camera.height), "xmp": xmp_packet(tags)}
+    if tags:
+        told = tags_of(reading, ORIGIN, focal=camera.params[0], rtk=rtk)
+        metadata = {"exif": exif_block(told, camera.width, camera.height), "xmp": xmp_packet(told)}
     Image.fromarray(colour).save(path, quality=_JPEG_QUALITY, subsampling=0, **metadata)
 
 

@@ -1,4 +1,4 @@
-"""The true surface and depth of engine, town and city, and depth that is not quite true."""
+"""The true surface and depth of engine, town, nadir flight and city, and depth that is not quite true."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from toolkit.geometry.surface import DepthView, Mesh
 from toolkit.samples.city import open_city
 from toolkit.samples.engine import open_engine
 from toolkit.samples.make import SampleSettings, depth_path, read_depth, town_of_sample
+from toolkit.samples.nadir_flight import KIND as NADIR
+from toolkit.samples.nadir_queries import town_of_record
+from toolkit.samples.town import Town
 from toolkit.scene import Frame, Scene
 from toolkit.scene.mesh_files import read_mesh
 
@@ -44,12 +47,17 @@ def true_surface(folder: Path) -> Mesh:
         return read_mesh(open_engine(folder).mesh)
     if record.get("kind") == "city":
         return open_city(folder).city.mesh
+    town = (town_of_record(folder, record) if record.get("kind") == NADIR else _town(folder, record)).mesh
+    return Mesh(town.vertices.astype(np.float64), town.triangles.astype(np.int32))
+
+
+def _town(folder: Path, record: dict[str, Any]) -> Town:
+    """Return the town of a flight of :func:`toolkit.samples.make.make_sample`."""
     try:
         settings, seed = SampleSettings.from_dict(record["settings"]), int(record["seed"])
     except (KeyError, TypeError, ValueError, ToolkitError) as error:
         raise DataError(f"{folder / _RECORD} is damaged", found=str(error)) from error
-    town = town_of_sample(settings, seed).mesh
-    return Mesh(town.vertices.astype(np.float64), town.triangles.astype(np.int32))
+    return town_of_sample(settings, seed)
 
 
 def true_depth(folder: Path, frame: Frame, *, caster: MeshCaster | None = None) -> NDArray[np.float32]:

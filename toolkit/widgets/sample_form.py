@@ -1,4 +1,4 @@
-"""Making a sample: a flight over a town, blades of an engine or a city from orbit, with the truth beside it."""
+"""Making a sample: flights over a town, blades of an engine or a city from orbit, with the truth beside it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from toolkit.samples import SampleSettings, make_sample
 from toolkit.samples.city import CitySettings, make_city
 from toolkit.samples.drone_flights import FLIGHTS, OrbitVideoSettings, make_drone_flight
 from toolkit.samples.engine import EngineSettings, make_engine
+from toolkit.samples.nadir_flight import NadirFlightSettings, make_nadir_flight
+from toolkit.samples.nadir_queries import NadirQuerySampleSettings, make_nadir_queries
 from toolkit.scene.new_folder import new_folder
 from toolkit.settings import Settings
 from toolkit.widgets.settings_form import SettingsForm
@@ -24,9 +26,12 @@ _MARGIN = (4, 8)
 _PICTURES = "pictures"
 _LARGEST_SEED = 2**31 - 1
 _ENGINE, _CITY = "engine", "city"
+_NADIR, _NADIR_QUERIES = "nadir", "nadir-queries"
 _KINDS: dict[str, type[Settings]] = {
     _PICTURES: SampleSettings,
     **FLIGHTS,
+    _NADIR: NadirFlightSettings,
+    _NADIR_QUERIES: NadirQuerySampleSettings,
     _ENGINE: EngineSettings,
     _CITY: CitySettings,
 }
@@ -34,6 +39,8 @@ _TITLES = {
     _PICTURES: "Pictures of a flight",
     "orbit": "Filmed orbit",
     "spiral": "Filmed spiral",
+    _NADIR: "Nadir flight, map and queries",
+    _NADIR_QUERIES: "Further queries for a nadir flight",
     _ENGINE: "Blades of an engine",
     _CITY: "City seen from orbit",
 }
@@ -123,6 +130,10 @@ def _made(folder: Path, settings: Settings, seed: int, progress: Progress) -> Pa
         make_sample(folder, settings, seed=seed, progress=progress)
     elif isinstance(settings, OrbitVideoSettings):
         make_drone_flight(folder, settings, seed=seed, progress=progress)
+    elif isinstance(settings, NadirFlightSettings):
+        make_nadir_flight(folder, settings, seed=seed, progress=progress)
+    elif isinstance(settings, NadirQuerySampleSettings):
+        make_nadir_queries(folder, settings.flight, settings.queries, seed=seed, progress=progress)
     elif isinstance(settings, EngineSettings):
         make_engine(folder, settings, seed=seed, progress=progress)
     elif isinstance(settings, CitySettings):

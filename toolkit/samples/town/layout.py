@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolkit.errors import StageError
 from toolkit.settings import Boolean, Integer, Number, Settings
 
 ROAD_HALF_WIDTH = 3.0
@@ -23,9 +24,9 @@ _MARGIN = 1.3  # between a building and the edge of its plot
 class TownSettings(Settings):
     """The look of the town; what stands where comes from the seed."""
 
-    extent = Number(180.0, bounds=(150.0, 400.0), unit="m", doc="Side of the square that the streets cover.")
-    buildings = Integer(34, bounds=(15, 40), doc="Number of houses.")
-    trees = Integer(90, bounds=(0, 300), doc="Number of trees.")
+    extent = Number(180.0, bounds=(150.0, 800.0), unit="m", doc="Side of the square that the streets cover.")
+    buildings = Integer(34, bounds=(15, 800), doc="Number of houses.")
+    trees = Integer(90, bounds=(0, 2000), doc="Number of trees.")
     mast = Boolean(True, doc="Whether a lattice mast with thin struts stands in the town.")
     glass_share = Number(0.12, bounds=(0.0, 1.0), doc="Share of the buildings with a reflecting glass facade.")
     sun_azimuth = Number(140.0, bounds=(0.0, 360.0), unit="deg", doc="Direction of the sun, clockwise from north.")
@@ -154,7 +155,13 @@ class TownPlan:
 
 
 def plan_town(settings: TownSettings, rng: np.random.Generator) -> TownPlan:
-    """Return a plan drawn from ``rng``."""
+    """Return a plan drawn from ``rng``.
+
+    Raises
+    ------
+    StageError
+        When there are not enough plots for the houses.
+    """
     blocks = 2 * round((settings.extent / _BLOCK - 1) / 2) + 1
     pitch = settings.extent / blocks
     streets = (np.arange(blocks + 1) - blocks / 2) * pitch
@@ -185,6 +192,8 @@ class _Draft:
         self.free = np.ones((count, count), bool)
         middle = slice((blocks // 2) * plots, (blocks // 2 + 1) * plots)
         self.free[middle, middle] = False
+        centres = [[self.plot_centre(i, j) for j in range(count)] for i in range(count)]
+        self.distance = np.array([[np.linalg.norm(centre) for centre in row] for row in centres])
         self.footprints: list[tuple[NDArray[np.float64], float]] = []
 
     def plot_centre(self, i: int, j: int) -> NDArray[np.float64]:
@@ -196,7 +205,14 @@ class _Draft:
     def take(self) -> tuple[int, int]:
         """Take a free plot, more likely near the square."""
         free = np.argwhere(self.free)
-        distance = np.array([np.linalg.norm(self.plot_centre(i, j)) for i, j in free])
+        if not len(free):
+            raise StageError(
+                f"The town has too few plots: all are taken after {len(self.footprints)} houses",
+                expected="room for every house",
+                found=f"{self.free.size} plots, some houses on two, the square and the mast",
+                todo="Raise extent or lower buildings",
+            )
+        distance = self.distance[self.free]
         weight = np.exp(-((distance / (0.45 * self.blocks * self.pitch)) ** 2))
         i, j = free[self.rng.choice(len(free), p=weight / weight.sum())]
         self.free[i, j] = False
@@ -325,6 +341,8 @@ class _Draft:
         rng = self.rng
         made = []
         count = self.blocks * self.plots
+        places = np.array([place for place, _ in self.footprints])
+        reach = np.array([radius for _, radius in self.footprints])
         for i in range(count - 1):
             for j in range(count):
                 middle = (self.plot_centre(i, j) + self.plot_centre(i + 1, j)) / 2
@@ -333,7 +351,7 @@ class _Draft:
                 on_square = np.abs(middle).max() < self.pitch / 2
                 if not within or not lived_in or on_square or rng.random() > 0.35:
                     continue
-                if all(np.abs(middle - c).max() > radius for c, radius in self.footprints):
+                if np.all(np.abs(middle - places).max(axis=1) > reach):
                     size = np.array([0.7, 0.9 * self.size])
                     made.append(Box("hedge", middle, size, float(rng.uniform(0.9, 1.7)), 0.0, 0))
         return made
