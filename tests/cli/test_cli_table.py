@@ -18,9 +18,10 @@ from toolkit.recipes.nerf import NERF
 from toolkit.recipes.sat_heights import RECIPE as SAT_HEIGHTS
 from toolkit.runs import paper_runs
 from toolkit.runs.index import list_runs
-from toolkit.samples import city, drone_flights, engine
+from toolkit.samples import city, drone_flights, engine, nadir_flight
 from toolkit.samples.city import CitySettings
 from toolkit.samples.data_set import MARKER
+from toolkit.samples.nadir_flight import NadirFlightSettings
 from toolkit.samples.registry import find_data_set
 
 NAME = "noposegs"
@@ -170,3 +171,31 @@ def test_the_satellite_table_makes_its_city_and_names_what_is_not_there(
     assert said.index("| COLMAP") < said.index("| RPCs, heights")
     assert (tmp_path / "out" / "methods.md").is_file()
     assert len(list_runs(tmp_path / "runs")) == 1
+
+
+def test_the_tables_on_localisation_take_the_nadir_flight_and_photographs_with_a_split(
+    tmp_path: Path, places: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        registry, "all_recipes", lambda: {"2dgs-dense": dataclasses.replace(RECIPE, name="2dgs-dense")}
+    )
+    monkeypatch.setenv("TOOLKIT_DATA", str(tmp_path))
+    write_photos(tmp_path / "uav_sheffield_cross")
+    asked: list[tuple[Path, dict[str, object], int]] = []
+
+    def make_flight(folder: Path, settings: NadirFlightSettings, *, seed: int, progress: object) -> None:
+        asked.append((folder, settings.to_dict(), seed))
+        # Other pictures than the photographs: the same ones would need one run.
+        write_photos(folder, seed=1)
+
+    monkeypatch.setattr(nadir_flight, "make_nadir_flight", make_flight)
+    command = ["table", "uav-localization", "--rows", "2dgs-sparse", "2dgs-dense", "--seed", "3", *places]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert asked == [(tmp_path / "runs" / ".data" / "nadir-3", NadirFlightSettings().to_dict(), 3)]
+    assert said.index("## nadir") < said.index("## uav_sheffield_cross")
+    assert "| 2DGS, sparse start | not there: no recipe '2dgs-sparse' |" in said
+    # It has no measures of a map, and nothing is made up for it.
+    assert "| 2DGS, dense start | sfm-test | ours | not run |" in said
+    assert (tmp_path / "out" / "tables1to3.md").is_file()
+    assert len(list_runs(tmp_path / "runs")) == 2

@@ -30,6 +30,9 @@ class MarkdownTable(Protocol):
 #: Data sets of photographs that the table takes where they are on this machine.
 _PHOTOS = ("uav_brighton_beach", "uav_sheffield_cross")
 _BLADES, _NERF, _SATELLITE = "blades-camera-models", "blades-nerf", "satellite-3d"
+_LOCALIZATION = "uav-localization"
+#: Photographs that this table takes: their split into map and queries is given.
+_SPLIT_PHOTOS = ("uav_sheffield_cross",)
 #: Frames that each is matched with on the whole film of blades-nerf, as in the paper, and half a blade of it.
 _WINDOW, _HALF_BLADE = 15, 19
 #: Folder beside the runs in which samples are made; its dot keeps it out of lists of runs.
@@ -47,9 +50,10 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     )
     added.add_argument(
         "paper",
-        choices=("a-3dgs", _BLADES, _NERF, _SATELLITE),
+        choices=("a-3dgs", _BLADES, _NERF, _SATELLITE, _LOCALIZATION),
         help=f"which one: a-3dgs, Table 3 of the drone paper; {_BLADES}, Table 1 of the paper on blades; {_NERF}, "
-        f"its Tables 2 and 3; {_SATELLITE}, what the satellite paper measures",
+        f"its Tables 2 and 3; {_SATELLITE}, what the satellite paper measures; {_LOCALIZATION}, Tables 1 to 3 of "
+        "the paper on localisation",
     )
     added.add_argument(
         "--data",
@@ -60,7 +64,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         + " and ".join(_PHOTOS)
         + f"; {_BLADES}: 98 degrees of an engine, made beside the runs; {_NERF}: films with poses, of which "
         f"segments are cut; 40 degrees of an engine, made beside the runs; {_SATELLITE}: a city seen from orbit, "
-        "made beside the runs]",
+        f"made beside the runs; {_LOCALIZATION}: a nadir flight over the town, made beside the runs, and of the "
+        f"data sets here {' and '.join(_SPLIT_PHOTOS)}]",
     )
     added.add_argument("--rows", nargs="+", metavar="ROW", help="methods [all]")
     added.add_argument("--runs", type=Path, metavar="DIR", help="folder of runs [runs/ and the name of the table]")
@@ -104,6 +109,8 @@ def _table(arguments: argparse.Namespace) -> None:
         _nerf(arguments)
     elif arguments.paper == _SATELLITE:
         _satellite(arguments)
+    elif arguments.paper == _LOCALIZATION:
+        _localization(arguments)
     else:
         _drones(arguments)
 
@@ -221,6 +228,28 @@ def _city(runs_dir: Path, seed: int, progress: Progress) -> Path:
     return make_city(runs_dir / _FLIGHTS / f"city-{seed}", CitySettings(), seed=seed, progress=progress).folder
 
 
+def _localization(arguments: argparse.Namespace) -> None:
+    from toolkit.runs.localization_rows import ROWS
+    from toolkit.runs.localization_table import localization_tables, write_localization_tables
+
+    wishes = {"train.steps": arguments.train_steps, "train.max_side": arguments.max_side}
+    rows = _rows(ROWS, arguments.rows)
+    tables = localization_tables(
+        _attempts(arguments, rows, wishes, lambda bar: _mapped(arguments.runs, arguments.seed, bar))
+    )
+    _tell(tables, write_localization_tables(tables, arguments.out))
+
+
+def _mapped(runs_dir: Path, seed: int, progress: Progress) -> dict[str, Path]:
+    """Return the nadir flight, made where it is missing, and the photographs with a split that are there."""
+    from toolkit.samples.nadir_flight import NadirFlightSettings, make_nadir_flight
+
+    photos = _located(_SPLIT_PHOTOS)
+    folder = runs_dir / _FLIGHTS / f"nadir-{seed}"
+    make_nadir_flight(folder, NadirFlightSettings(), seed=seed, progress=progress)
+    return {"nadir": folder} | photos
+
+
 def _drones(arguments: argparse.Namespace) -> None:
     from toolkit.runs.paper_figures import render_grid, write_trajectories
     from toolkit.runs.paper_rows import ROWS
@@ -264,12 +293,18 @@ def _named(folders: Sequence[Path]) -> dict[str, Path]:
 def _usual_data(runs_dir: Path, seed: int, progress: Progress) -> dict[str, Path]:
     """Return the filmed flights, made where they are missing, and the photographs that are there."""
     from toolkit.samples.drone_flights import FLIGHTS, make_drone_flight
-    from toolkit.samples.registry import locate
 
-    photos = {name: folder for name in _PHOTOS if (folder := locate(name)) is not None}
+    photos = _located(_PHOTOS)
     data: dict[str, Path] = {}
     for name, settings_type in FLIGHTS.items():
         settings: OrbitVideoSettings = settings_type()
         folder = runs_dir / _FLIGHTS / f"{name}-{seed}"
         data[name] = make_drone_flight(folder, settings, seed=seed, progress=progress).folder
     return data | photos
+
+
+def _located(names: Sequence[str]) -> dict[str, Path]:
+    """Return the folders of those data sets that are on this machine."""
+    from toolkit.samples.registry import locate
+
+    return {name: folder for name in names if (folder := locate(name)) is not None}
