@@ -27,7 +27,7 @@ from toolkit.splat.local_gaussians import (
     local_gaussians,
 )
 from toolkit.splat.rasterize import rasterize
-from toolkit.splat.relative_pose import turn_about, find_relative_pose, median_depth
+from toolkit.splat.relative_pose import find_relative_pose, median_depth, turn_about
 from toolkit.splat.train_settings import TrainSettings
 
 START = RigidTransform.identity()

@@ -35,14 +35,14 @@ class ReliabilitySettings(Settings):
 
     min_alpha = Number(0.8, bounds=(0.0, 1.0), doc="Less covered pixels have no depth.")
     max_spread = Number(
-        0.02,
+        0.05,
         bounds=(0.0, 10.0),
         unit="of the depth",
         doc="Largest standard deviation of the depths that a pixel is blended of (kind 3d: difference of mean and "
         "median).",
     )
     max_step = Number(
-        0.03,
+        0.05,
         bounds=(0.0, 10.0),
         unit="of the depth",
         doc="Largest difference of depth to the eight neighbours: at outlines the pixel may be of either surface.",
@@ -125,7 +125,7 @@ class LocalizeSettings(Settings):
         doc="The pose stands still when it, or what it looks at, moves by less.",
     )
     match = Group(PictureMatchSettings(), doc="Features of photo and render, and their matches")
-    pnp = Group(PnpSettings(), doc="The pose from matches and depth")
+    pnp = Group(PnpSettings(max_error=2.0), doc="The pose from matches and depth")
     reliable = Group(ReliabilitySettings(), doc="Which pixels may be back-projected")
     fan = Group(FanSettings(), doc="Further start poses")
     polish = Group(PolishSettings(), doc="Photometric polish")

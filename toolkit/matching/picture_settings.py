@@ -31,7 +31,7 @@ class PictureMatchSettings(Settings):
     )
     upsample = Boolean(True, doc="sift: double pictures before: more and finer features for three times the time.")
     max_ratio = Number(
-        0.85,
+        0.95,
         bounds=(0.1, 1.0),
         doc="sift: a match must be nearer than the second best by this factor; a start pose that is nearly right "
         "leaves few wrong ones.",

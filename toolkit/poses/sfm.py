@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
+from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
 
@@ -88,6 +89,7 @@ def incremental_sfm(
     seed: int = 0,
     progress: Progress = silent,
     work_dir: Path,
+    only: Collection[str] | None = None,
 ) -> SfmResult:
     """Place the pictures of a scene one after the other and adjust everything at the end.
 
@@ -111,17 +113,22 @@ def incremental_sfm(
         Told how many pictures are placed; raises to cancel.
     work_dir:
         Folder for files that are needed meanwhile and removed at the end.
+    only:
+        Names of the frames that are placed; the others have no part in poses, points and cameras, and stay without
+        pose. None: all.
 
     Raises
     ------
     DataError
-        For a database that is missing, damaged or of another scene.
+        For a database that is missing, damaged or of another scene, and for names that are none of its frames.
     StageError
-        Where no model was found, saying whether features, overlap or a sound first pair is missing; where positions
-        are to be used and fewer than 3 frames have one, or the scene has no georeference.
+        For fewer than two frames to place; where no model was found, saying whether features, overlap or a sound
+        first pair is missing; where positions are to be used and fewer than 3 frames have one, or the scene has no
+        georeference.
     """
+    wanted = _wanted(scene, only)
     if settings.use_positions:
-        _check_positions(scene)
+        _check_positions(scene, wanted)
     require_same_frames(database_path, scene)
     check_matches(database_path, settings.min_matches)
     start = time.perf_counter()
@@ -131,7 +138,7 @@ def incremental_sfm(
         # COLMAP changes a database by opening it; this one may belong to another stage.
         copy = Path(temporary) / "matches.db"
         copy_database(database_path, copy)
-        found = _map(scene, copy, settings, seed, progress)
+        found = _map(scene, copy, settings, seed, progress, () if only is None else wanted)
         with closing(pycolmap.Database.open(copy)) as database:
             before = {camera.camera_id: camera for camera in database.read_all_cameras()}
     if not found:
@@ -148,16 +155,31 @@ def incremental_sfm(
         before=before,
         adjustment=report,
         seconds={"mapping": mapped - start, "adjustment": time.perf_counter() - mapped},
+        wanted=wanted,
     )
 
 
-def _check_positions(scene: Scene) -> None:
-    placed = sum(frame.prior is not None and frame.prior.position is not None for frame in scene.frames)
+def _wanted(scene: Scene, only: Collection[str] | None) -> tuple[str, ...]:
+    """Return the names of the frames to place, in the scene's order."""
+    if only is None:
+        return tuple(frame.name for frame in scene.frames)
+    for name in only:
+        scene.frame(name)
+    if len(set(only)) < 2:
+        raise StageError(
+            "Structure from motion needs pictures", expected="at least 2 to place", found=str(len(only))
+        )
+    return tuple(frame.name for frame in scene.frames if frame.name in only)
+
+
+def _check_positions(scene: Scene, wanted: Collection[str]) -> None:
+    priors = [scene.frame(name).prior for name in wanted]
+    placed = sum(prior is not None and prior.position is not None for prior in priors)
     if scene.georeference is None or placed < 3:
         raise StageError(
             "There are too few positions to use as priors",
             expected="at least 3 frames with a GPS position",
-            found=f"{placed} of {len(scene)}",
+            found=f"{placed} of {len(wanted)}",
             todo="Set use_positions to no",
         )
 
@@ -169,9 +191,18 @@ def _in_its_own_world(scene: Scene) -> Scene:
 
 
 def _map(
-    scene: Scene, database_path: Path, settings: SfmSettings, seed: int, progress: Progress
+    scene: Scene,
+    database_path: Path,
+    settings: SfmSettings,
+    seed: int,
+    progress: Progress,
+    only: tuple[str, ...],
 ) -> list[pycolmap.Reconstruction]:
-    """Return all models that COLMAP's mapper finds. It writes them beside the database, too."""
+    """Return all models that COLMAP's mapper finds, of ``only`` these frames where there are any.
+
+    It writes them beside the database, too.
+    """
+    total = len(only) or len(scene)
     placed = {"model": 0, "pictures": 0}
 
     def started() -> None:
@@ -182,7 +213,7 @@ def _map(
 
     def event() -> ProgressEvent:
         message = f"model {placed['model']}" if placed["model"] > 1 else ""
-        return ProgressEvent("sfm", min(placed["pictures"], len(scene)), len(scene), message)
+        return ProgressEvent("sfm", min(placed["pictures"], total), total, message)
 
     def call(token: pycolmap.CancellationToken) -> dict[int, pycolmap.Reconstruction]:
         pycolmap.set_random_seed(seed)
@@ -190,7 +221,7 @@ def _map(
             database_path,
             scene.image_dir,
             database_path.parent,
-            options=_options(settings, seed),
+            options=_options(settings, seed, only),
             initial_image_pair_callback=started,
             next_image_callback=added,
             cancellation_token=token,
@@ -200,8 +231,9 @@ def _map(
     return [model for model in models.values() if model.num_reg_images() >= 2]
 
 
-def _options(settings: SfmSettings, seed: int) -> pycolmap.IncrementalPipelineOptions:
+def _options(settings: SfmSettings, seed: int, only: tuple[str, ...]) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions(
+        image_names=list(only),
         min_num_matches=settings.min_matches,
         multiple_models=settings.multiple_models,
         # COLMAP would drop every model after the first with fewer than ten pictures, were it the largest.

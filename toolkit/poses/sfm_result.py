@@ -48,6 +48,8 @@ class SfmResult:
         What the last adjustment did.
     seconds:
         Wall time by part.
+    wanted:
+        Names of the frames that were to be placed.
     """
 
     scene: Scene
@@ -58,11 +60,12 @@ class SfmResult:
     cameras: tuple[CameraChange, ...]
     adjustment: AdjustmentReport
     seconds: Mapping[str, float]
+    wanted: tuple[str, ...]
 
     @property
     def not_registered(self) -> tuple[str, ...]:
-        """Names of the frames without a pose."""
-        return tuple(frame.name for frame in self.scene.frames if frame.cam_from_world is None)
+        """Names of the frames that were to be placed and have no pose."""
+        return tuple(name for name in self.wanted if self.scene.frame(name).cam_from_world is None)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -75,19 +78,19 @@ class SfmResult:
             more = ", ..." if len(self.models) > _SIZES_TOLD else ""
             return (
                 f"The pictures fall into {len(self.models)} pieces ({sizes}{more} pictures) that no matches join. "
-                f"The largest is the result; {left} of {len(self.scene)} pictures are not in it. More features, a "
+                f"The largest is the result; {left} of {len(self.wanted)} pictures are not in it. More features, a "
                 "larger window of pairs or a lower min_matches may join them; else reconstruct each by itself.",
             )
         return (
-            f"{left} of {len(self.scene)} pictures could not be placed. More features, a larger window of pairs or "
-            "a lower min_inliers may place them.",
+            f"{left} of {len(self.wanted)} pictures could not be placed. More features, a larger window of pairs "
+            "or a lower min_inliers may place them.",
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON."""
         return {
             "warnings": list(self.warnings),
-            "images": len(self.scene),
+            "images": len(self.wanted),
             "registered": len(self.scene.registered),
             "registered_names": [frame.name for frame in self.scene.registered],
             "not_registered": list(self.not_registered),
@@ -111,8 +114,12 @@ def sfm_result(
     before: Mapping[int, pycolmap.Camera],
     adjustment: AdjustmentReport,
     seconds: Mapping[str, float],
+    wanted: tuple[str, ...] | None = None,
 ) -> SfmResult:
-    """Return the result whose numbers are those of COLMAP's model; ``before`` are the cameras at the start."""
+    """Return the result whose numbers are those of COLMAP's model.
+
+    ``before`` are the cameras at the start, ``wanted`` the names of the frames that were to be placed; None: all.
+    """
     images = (model.image(image_id) for image_id in model.reg_image_ids())
     return SfmResult(
         scene=scene,
@@ -123,6 +130,7 @@ def sfm_result(
         cameras=_changes(before, model),
         adjustment=adjustment,
         seconds=seconds,
+        wanted=tuple(frame.name for frame in scene.frames) if wanted is None else wanted,
     )
 
 

@@ -26,6 +26,10 @@ def all_recipes() -> dict[str, Recipe]:
     from toolkit.recipes.sensor_fused import RECIPE as SENSOR_FUSED
     from toolkit.recipes.slam_noposegs import ORB_PNP, ORBSLAM
     from toolkit.recipes.splat_mesh import RECIPE as SPLAT_MESH
+    from toolkit.recipes.uav_maps import DENSE as MAP_DENSE
+    from toolkit.recipes.uav_maps import DENSE_POS as MAP_DENSE_POS
+    from toolkit.recipes.uav_maps import HELD as MAP_HELD
+    from toolkit.recipes.uav_maps import SPARSE as MAP_SPARSE
     from toolkit.recipes.vggt_ba import RECIPE as VGGT_BA
 
     recipes = (
@@ -36,6 +40,7 @@ def all_recipes() -> dict[str, Recipe]:
         *(MVS_POISSON, DEPTH_FUSION),
         SPLAT_MESH,
         *(SAT_COLMAP_3DGS, SAT_HEIGHTS, SAT_SPLAT, VGGT_BA, DUST3R_VIEWS),
+        *(MAP_SPARSE, MAP_DENSE, MAP_DENSE_POS, MAP_HELD),
     )
     return {recipe.name: recipe for recipe in recipes}
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from toolkit.errors import NumericalError
+from toolkit.errors import NumericalError, RunError
 from toolkit.splat.adam import adam_update
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.train_settings import TrainSettings, means_rate
@@ -23,10 +23,13 @@ class GaussianOptimiser:
         The parameters, leaves that ask for gradients. :meth:`rearrange` and :meth:`raise_sh_degree` replace them.
     first, second:
         Moments by the parameter's name, of its shape.
+    origins:
+        (N, 3) where each Gaussian began; copies have the origin of what they are copies of.
     """
 
     def __init__(self, gaussians: Gaussians) -> None:
         self.gaussians = _leaves(gaussians)
+        self.origins = gaussians.means.detach().clone()
         self.first = {name: torch.zeros_like(tensor) for name, tensor in gaussians.named()}
         self.second = {name: torch.zeros_like(tensor) for name, tensor in gaussians.named()}
 
@@ -60,6 +63,7 @@ class GaussianOptimiser:
     def rearrange(self, source: Tensor, fresh: int) -> None:
         """Replace the Gaussians by copies of rows ``source`` (M,) int64; the last ``fresh`` have zero moments."""
         self.gaussians = _leaves(self.gaussians.detach().map(lambda tensor: tensor[source]))
+        self.origins = self.origins[source]
         for moments in (self.first, self.second):
             for name, tensor in moments.items():
                 moments[name] = tensor[source]
@@ -92,18 +96,32 @@ class GaussianOptimiser:
             **{f"gaussians.{name}": tensor.detach() for name, tensor in self.gaussians.named()},
             **{f"first.{name}": tensor for name, tensor in self.first.items()},
             **{f"second.{name}": tensor for name, tensor in self.second.items()},
+            "origins": self.origins,
         }
 
     @classmethod
     def from_tensors(cls, tensors: Mapping[str, Tensor]) -> GaussianOptimiser:
-        """Return the optimiser that :meth:`tensors` described."""
+        """Return the optimiser that :meth:`tensors` described.
+
+        Raises
+        ------
+        RunError
+            Where an earlier version wrote them, which did not know where Gaussians began.
+        """
+        if "origins" not in tensors:
+            raise RunError(
+                "The checkpoint is of an earlier version",
+                expected="where each Gaussian began (origins)",
+                found=", ".join(sorted(tensors)),
+                todo="Start a new run",
+            )
         groups: dict[str, dict[str, Tensor]] = {"gaussians": {}, "first": {}, "second": {}}
         for key, tensor in tensors.items():
             group, _, name = key.partition(".")
             if group in groups:
                 groups[group][name] = tensor
         made = cls(Gaussians(**groups["gaussians"]))
-        made.first, made.second = groups["first"], groups["second"]
+        made.first, made.second, made.origins = groups["first"], groups["second"], tensors["origins"]
         return made
 
 

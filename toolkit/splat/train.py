@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from toolkit.checkpoint import load_newest, require_same
 from toolkit.errors import CapabilityError
 from toolkit.geometry.rigid import RigidTransform
@@ -64,9 +66,13 @@ class TrainResult:
         world as a whole may have moved with them (:mod:`toolkit.splat.align_test`).
     pose_changes:
         By how much each of them moved, in scene units, and turned, in degrees.
+    origins:
+        (N, 3) float32, where each Gaussian began; one that was cloned, split or relocated began where what it is a
+        copy of did.
     """
 
     gaussians: Gaussians
+    origins: Tensor
     steps: int
     history: tuple[HistoryRow, ...]
     seconds: dict[str, float]
@@ -81,7 +87,7 @@ class TrainResult:
     pose_changes: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the Gaussians' values, ready for JSON."""
+        """Return everything but values of single Gaussians, ready for JSON."""
         total = sum(self.seconds.values())
         stepping = total - self.seconds.get("compile", 0.0)
         return {
@@ -207,6 +213,7 @@ def train_splats(
     poses = trainer.poses()
     return TrainResult(
         gaussians=state.optimiser.gaussians.detach(),
+        origins=state.optimiser.origins,
         steps=state.step,
         history=tuple(state.history),
         seconds=dict(state.seconds),
