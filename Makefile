@@ -69,7 +69,7 @@ viewer-if-npm:
 test: $(VENV)/.dev viewer-if-npm  ## Run the tests, JOBS at once (2).
 	OMP_WAIT_POLICY=passive $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
-bench: $(VENV)/.dev  ## Measure (six hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
+bench: $(VENV)/.dev  ## Measure (eight hours): rasterizer, training, poses, SLAM, dashboard, real photos where TOOLKIT_DATA names them.
 	$(BIN)/python tests/benchmarks/performance.py
 	$(BIN)/python tests/benchmarks/quality.py schedule --work runs/quality
 	$(BIN)/python tests/benchmarks/real_photos.py --runs runs/bench
@@ -86,6 +86,8 @@ bench: $(VENV)/.dev  ## Measure (six hours): rasterizer, training, poses, SLAM, 
 	$(BIN)/python tests/benchmarks/satellite.py --work runs/bench-satellite
 	$(BIN)/python tests/benchmarks/satellite_networks.py
 	$(BIN)/python tests/benchmarks/feedforward_ba.py
+	$(BIN)/python tests/benchmarks/localization.py
+	$(BIN)/python tests/benchmarks/localization_area.py
 	$(BIN)/python tests/benchmarks/dashboard.py
 	$(BIN)/python tests/benchmarks/sweep.py
 

@@ -1,14 +1,16 @@
 """Measures localisation against a splat map beyond the paper's table: starts, suns, heights, and photos of nowhere.
 
-All of it in the map of a finished run of one of the recipes ``2dgs-*``:
+``python tests/benchmarks/localization.py`` makes the nadir flight, further queries over its town and the map of
+recipe ``2dgs-held`` (3,000 steps on pictures of 480 pixels) below ``--work``, unless they are there, and measures:
 
-- ``python tests/benchmarks/localization.py offsets --run RUN``: how often each method is right as the start is off
-  by 0 to 40 m, and by 0 to 45 degrees (curves into ``--out``);
-- ``... queries --run RUN --truth FLIGHT --data FOLDER [FOLDER ...]``: other queries over the same town (``toolkit
-  sample nadir-queries``: another sun, other heights, a descent), started from what their sensors say;
-- ``... lost --run RUN --data FOLDER ...``: photos of another place, and the run's own queries black, blurred, of
-  noise and mirrored: how many are believed, of how many;
-- ``... times --run RUN``: seconds of a query by part.
+- ``offsets``: how often each method is right as the start is off by 0 to 40 m, and by 0 to 45 degrees (curves into
+  ``--out``);
+- ``queries``: another sun, other heights and a descent, started from what the queries' sensors say;
+- ``lost``: photos of another town and of fields, and the run's own queries black, blurred, of noise and mirrored:
+  how many are believed, of how many;
+- ``times``: seconds of a query by part.
+
+With ``--run`` they are measured in the map of another finished run of a recipe ``2dgs-*``.
 
 Poses of a sample's query sets are in the true world; they are moved into the map's by the rigid motion between the
 map photos' poses and the true ones.
@@ -21,6 +23,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from finished_runs import finished_run
 from scipy.ndimage import gaussian_filter
 
 from toolkit.files import write_json
@@ -37,6 +40,9 @@ from toolkit.localize.starts import Start, attitude_offset, offset_starts
 from toolkit.metrics.localization import LocalizationErrors, pose_errors
 from toolkit.metrics.trajectory import trajectory_errors
 from toolkit.plots.localization import success_figure
+from toolkit.progress import TqdmProgress
+from toolkit.samples.nadir_flight import NadirFlightSettings, make_nadir_flight
+from toolkit.samples.nadir_queries import NadirQuerySettings, make_nadir_queries
 from toolkit.scene import Scene
 from toolkit.scene.folder import read_scene
 from toolkit.splat.map_file import read_map
@@ -209,20 +215,60 @@ def times(opened: Opened, arguments: argparse.Namespace) -> None:
             print(f"{metres:g} m, {method.name}: median {batch.median_seconds:.2f} s, {rounds:.1f} rounds, {mean}")
 
 
+def sets(work: Path, kinds: Sequence[tuple[str, dict[str, object]]], bar: TqdmProgress) -> list[Path]:
+    """Return the folders of query sets over the flight's town, made where they are missing."""
+    folders = []
+    for name, changes in kinds:
+        settings = NadirQuerySettings().replace(changes)
+        make_nadir_queries(work / name, NadirFlightSettings(), settings, progress=bar)
+        folders.append(work / name)
+    return folders
+
+
+QUERIES = (
+    ("sun", {"kind": "sun"}),
+    ("height-60", {"kind": "height", "height": 60.0}),
+    ("height-120", {"kind": "height", "height": 120.0}),
+    ("descent", {"kind": "descent"}),
+)
+NOWHERE = (("another-town", {"kind": "town", "frames": 30}), ("fields", {"kind": "fields", "frames": 30}))
+MAP = {
+    "train.steps": 3000,
+    "train.max_side": 480,
+    "train.max_gaussians": 100_000,
+    "scenarios.sfm_train": False,
+    "scenarios.calc_test": False,
+    "scenarios.sfm_test_pos10": False,
+    "scenarios.every": 4,
+}
+MEASURES = {"offsets": offsets, "queries": queries, "lost": lost, "times": times}
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("offsets", "queries", "lost", "times"))
-    parser.add_argument("--run", type=Path, required=True, help="folder of a finished run of a recipe 2dgs-*")
-    parser.add_argument("--data", type=Path, nargs="+", help="folders of query sets")
-    parser.add_argument("--truth", type=Path, help="the flight of the map, with its true poses (for queries)")
+    parser.add_argument("what", nargs="*", default=list(MEASURES), help=f"{', '.join(MEASURES)} [all]")
+    parser.add_argument("--work", type=Path, default=Path("runs/bench-localization"), help="where all of it goes")
+    parser.add_argument("--run", type=Path, help="folder of a finished run of a recipe 2dgs-* [made here]")
+    parser.add_argument("--data", type=Path, nargs="+", help="folders of query sets [made here]")
+    parser.add_argument("--truth", type=Path, help="the flight of the map, with its true poses [made here]")
     parser.add_argument("--every", type=int, default=1, help="take every so many queries [1]")
-    parser.add_argument("--features", default="sift", help="of the one shot [sift]")
+    parser.add_argument("--features", default="aliked-lightglue", help="of the one shot [aliked-lightglue]")
     parser.add_argument("--ours-features", default="sift", help="of ours [sift]")
     parser.add_argument("--each", action="store_true", help="print every query")
     parser.add_argument("--out", type=Path, help="folder for curves")
     chosen = parser.parse_args(arguments)
-    opened = Opened(chosen.run, chosen.features, chosen.ours_features)
-    {"offsets": offsets, "queries": queries, "lost": lost, "times": times}[chosen.what](opened, chosen)
+    bar = TqdmProgress()
+    if chosen.truth is None:
+        chosen.truth = chosen.work / "flight"
+        make_nadir_flight(chosen.truth, NadirFlightSettings(), progress=bar)
+    if chosen.run is None:
+        chosen.run = finished_run("2dgs-held", "localization", chosen.truth, chosen.work / "runs", MAP).path
+    opened, given = Opened(chosen.run, chosen.features, chosen.ours_features), chosen.data
+    for what in chosen.what:
+        if given is None and what in ("queries", "lost"):
+            chosen.data = sets(chosen.work, QUERIES if what == "queries" else NOWHERE, bar)
+        bar.close()
+        MEASURES[what](opened, chosen)
 
 
 if __name__ == "__main__":

@@ -118,7 +118,7 @@ class Localizer:
         fanned, left, move = False, settings.rounds, np.inf
         while left > 0:
             view = self._render(search, pose)
-            done = self._match(search, view, search.photo, search.query)
+            done = self._match(search, view)
             trail.append(done)
             if done.cam_from_world is None or done.inliers < settings.judge.min_inliers:
                 if fanned:
@@ -145,7 +145,6 @@ class Localizer:
         settings = self._settings
         camera = render_camera(search.query.camera, settings.fan.side)
         picture, _ = flat_picture(search.query, camera)
-        small = Query(search.query.name, picture, camera)
         photo = self.matcher.features(picture)
         best, most = None, settings.pnp.min_inliers - 1
         for pose in fan_poses(start, settings.fan.most, settings.fan.reach):
@@ -155,7 +154,7 @@ class Localizer:
             done = match_view(
                 view,
                 photo,
-                small.camera,
+                camera,
                 self.matcher,
                 settings.pnp,
                 all_depths=False,
@@ -173,11 +172,11 @@ class Localizer:
             camera = render_camera(search.query.camera, self._settings.render_side)
             return self._map.render(camera, pose, self._settings.reliable)
 
-    def _match(self, search: _Search, view: MapView, photo: PictureFeatures, query: Query) -> Round:
+    def _match(self, search: _Search, view: MapView) -> Round:
         return match_view(
             view,
-            photo,
-            query.camera,
+            search.photo,
+            search.query.camera,
             self.matcher,
             self._settings.pnp,
             all_depths=False,

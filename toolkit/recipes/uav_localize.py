@@ -100,7 +100,11 @@ def localize_stages(
     from toolkit.localize.one_shot import OneShot
     from toolkit.localize.splat_map import SplatMap
 
-    splat_map = SplatMap(built.gaussians, built.stored.kind, backend="cuda" if context.device == "cuda" else "cpu")
+    splat_map = SplatMap(
+        built.gaussians.to(device=context.device),
+        built.stored.kind,
+        backend="cuda" if context.device == "cuda" else "cpu",
+    )
     methods: list[tuple[OneShot | Localizer, Settings]] = []
     if "one-shot" in known:
         methods.append((OneShot(splat_map, one_shot, matcher=known["one-shot"]), one_shot))
