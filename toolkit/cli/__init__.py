@@ -8,13 +8,13 @@ import sys
 from collections.abc import Sequence
 
 import toolkit
-from toolkit.cli import calibrate, capture, data, pages, queue, render, runs, slam, sweep, tables
+from toolkit.cli import calibrate, capture, data, localize, pages, queue, render, runs, slam, sweep, tables
 from toolkit.cli.common import Command
 from toolkit.errors import Cancelled, ToolkitError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code: 0, 2 for an error that is told, 130 when stopped."""
+    """Run a command and return its exit code, most often 0; 2 for an error that is told, 130 when stopped."""
     given = list(sys.argv[1:] if argv is None else argv)
     arguments = build_parser(
         with_sample_flags="sample" in given,
@@ -25,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     ).parse_args(given)
     command: Command = arguments.command
     try:
-        command(arguments)
+        code = command(arguments)
         sys.stdout.flush()
     except (Cancelled, KeyboardInterrupt) as stop:
         print(f"stopped: {str(stop) or 'Ctrl-C'}", file=sys.stderr)
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output went away (as in `toolkit runs | head`); nothing more can be said to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    return 0
+    return code or 0
 
 
 def build_parser(
@@ -67,6 +67,7 @@ def build_parser(
     queue.add_commands(commands)
     sweep.add_commands(commands)
     render.add_commands(commands)
+    localize.add_commands(commands)
     data.add_commands(commands, with_sample_flags=with_sample_flags)
     capture.add_commands(commands, with_flags=with_frame_flags, with_inspection_flags=with_inspection_flags)
     calibrate.add_commands(commands, with_flags=with_calibration_flags)

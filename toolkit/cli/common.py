@@ -11,7 +11,8 @@ from typing import TypeVar
 from toolkit.progress import TqdmProgress
 
 T = TypeVar("T")
-Command = Callable[[argparse.Namespace], None]
+#: Returns the exit code; None is 0.
+Command = Callable[[argparse.Namespace], int | None]
 
 RUN_HELP = "id, unique beginning of an id, name, path, latest or latest-<n> (n runs before)"
 

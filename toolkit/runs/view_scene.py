@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from toolkit.errors import RunError, StageError
 from toolkit.files import disk_errors
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.run_map import splat_kind
 from toolkit.scene.folder import SCENE_FILE
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from toolkit.splat.rasterize import Kind
 
 Array = NDArray[np.float64]
-Use = Literal["train", "test", "query"]
+Use = Literal["train", "test", "query", "start"]
 Stamp = tuple[int, int, int]
 
 _SOLID = 0.5
@@ -67,7 +68,7 @@ class ViewCamera:
     name:
         Of its frame.
     use:
-        ``"train"``, ``"test"`` or ``"query"``.
+        ``"train"``, ``"test"``, ``"query"``, or ``"start"``: where the search for the query's pose began.
     position:
         (3,) of its centre.
     rotation:
@@ -127,6 +128,8 @@ class ViewScene:
         Training and test cameras in order of capture, then the query.
     remarks:
         What is not shown as it is.
+    unposed:
+        Names of the frames without a pose.
     """
 
     run: RunFolder
@@ -139,6 +142,7 @@ class ViewScene:
     frustum: float
     cameras: tuple[ViewCamera, ...]
     remarks: tuple[str, ...]
+    unposed: tuple[str, ...] = ()
 
     def home(self) -> ViewCamera:
         """Return where the viewer begins: at the first camera, or before the splat where there is none."""
@@ -218,8 +222,9 @@ def read_view(run: RunFolder, query: QueryPose | None = None) -> ViewSplat:
     radius = _radius(points - centre, centres - centre)
     frustum = _frustum(centres, radius)
     cameras = tuple(_view_camera(shot, points, centre, radius) for shot in shots)
-    kind: Kind = "2d" if run.record().flat_settings.get("train.kind") == "2d" else "3d"
-    view = ViewScene(run, stamp, kind, len(means), centre, up, radius, frustum, cameras, tuple(remarks))
+    unposed = tuple(frame.name for frame in scene.frames if frame.cam_from_world is None)
+    kind, told = splat_kind(run), tuple(remarks)
+    view = ViewScene(run, stamp, kind, len(means), centre, up, radius, frustum, cameras, told, unposed)
     shifted = _tensor(means - centre)
     return ViewSplat(view, dataclasses.replace(gaussians, means=shifted))
 

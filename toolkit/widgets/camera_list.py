@@ -43,9 +43,17 @@ class CameraList(pn.viewable.Viewer):
 
     def fill(self, cameras: Sequence[ViewCamera]) -> None:
         """List other cameras; none of them is chosen."""
-        self.camera, self._cameras = -1, cameras
+        self.camera = -1
+        self.exchange(cameras)
+
+    def exchange(self, cameras: Sequence[ViewCamera]) -> None:
+        """List cameras of which the first ones are those that were there; the one that is chosen stays so."""
+        self._cameras = cameras
         listed = {f"{number + 1}: {one.name} ({one.use})": number for number, one in enumerate(cameras)}
-        self._choice.param.update(options=_NONE | listed, value=-1)
+        kept = self.camera if self.camera < len(cameras) else -1
+        self._choice.param.update(options=_NONE | listed, value=kept)
+        # Another photo may have come in the place of the one that is shown.
+        self._show()
 
     def choose(self, number: int | None) -> None:
         """Choose a camera; a number that is not in the list, as a browser may make up, means none."""

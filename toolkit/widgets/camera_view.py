@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import panel as pn
 import param
 
+from toolkit.runs.view_render import ViewPose
 from toolkit.runs.view_scene import ViewScene
 
 _SHEET = """
@@ -52,13 +54,17 @@ class CameraView(pn.custom.JSComponent):
     ----------
     scene:
         What the browser needs to stand somewhere and to draw cameras; empty where nothing is shown.
+    extras:
+        Cameras that are drawn beside those of the scene: a photo that was localised, and where its search began.
     camera:
-        Number of the chosen camera in :attr:`scene`, -1 for none. The browser may say anything.
+        Number of the chosen camera among those of the scene and the extras, -1 for none. The browser may say
+        anything.
     status:
         What is said over the picture while there is none.
     """
 
     scene = param.Dict(default={})
+    extras = param.List(default=[])
     camera = param.Integer(default=-1)
     status = param.String(default="")
 
@@ -66,6 +72,29 @@ class CameraView(pn.custom.JSComponent):
 
     def __init__(self, **params: Any) -> None:
         super().__init__(stylesheets=[_SHEET], **params)
+        self._asked = 0
+        self._told: Callable[[ViewPose], None] | None = None
+
+    def ask_where(self, then: Callable[[ViewPose], None]) -> None:
+        """Call ``then`` with where the person stands, once the browser says it."""
+        self._asked, self._told = self._asked + 1, then
+        self._send_msg({"kind": "where", "number": self._asked})
+
+    def _hear_where(self, data: Mapping[str, Any]) -> bool:
+        """Return whether a message says where the person stands, and take the one that was asked for.
+
+        Raises
+        ------
+        DataError
+            Where it is none that can be used.
+        """
+        if data.get("kind") != "where":
+            return False
+        told = self._told
+        if told is not None and data.get("number") == self._asked and self.scene:
+            self._told = None
+            told(ViewPose.from_message(data))
+        return True
 
 
 def scene_message(view: ViewScene) -> dict[str, Any]:

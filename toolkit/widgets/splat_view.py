@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, Literal
 
 import param
 
+from toolkit.errors import DataError
 from toolkit.runs.view_render import NEAR, packed_scale
 from toolkit.runs.view_scene import ViewScene
 from toolkit.widgets.camera_view import CameraView, scene_message
@@ -64,11 +66,15 @@ class SplatView(CameraView):
     def clear(self, status: str = "") -> None:
         """Show nothing but ``status``."""
         self._parts = []
-        self.param.update(scene={}, camera=-1, status=status)
+        self.param.update(scene={}, extras=[], camera=-1, status=status)
 
     def _handle_msg(self, data: Any) -> None:
-        """Send the part that the browser asks for; whatever else it says means nothing."""
-        if not isinstance(data, Mapping) or data.get("kind") != "part" or not self.scene:
+        """Send the part that the browser asks for; whatever makes no sense means nothing."""
+        if not isinstance(data, Mapping):
+            return
+        with suppress(DataError):
+            self._hear_where(data)
+        if data.get("kind") != "part" or not self.scene:
             return
         number = data.get("number")
         asked_of_this = data.get("splat") == self.scene["splat"]

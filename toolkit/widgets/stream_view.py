@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import param
@@ -47,7 +48,7 @@ class StreamView(CameraView):
     def clear(self, status: str = "") -> None:
         """Show nothing but ``status``."""
         self._view = None
-        self.param.update(scene={}, camera=-1, status=status, problem="")
+        self.param.update(scene={}, extras=[], camera=-1, status=status, problem="")
 
     def close(self, timeout: float | None = None) -> None:
         """Draw no more, and wait at most ``timeout`` seconds for the picture at work."""
@@ -57,6 +58,9 @@ class StreamView(CameraView):
         """Draw what the browser asks for, or say why not."""
         if not isinstance(data, Mapping):
             return
+        with suppress(DataError):
+            if self._hear_where(data):
+                return
         number = data.get("number")
         if not isinstance(number, int):
             return

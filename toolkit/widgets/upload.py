@@ -28,14 +28,16 @@ LARGEST_UPLOAD = 2 * 10**9
 _PREFIX, _ENDING = ".upload-", ".zip"
 #: Seconds after which a file that no page writes any more is deleted.
 _ABANDONED = 24 * 3600
+_LARGER = "Put larger captures into a data folder of the server"
 
 _ESM = """
 export function render({ model, el }) {
   el.style.width = "100%";
-  el.innerHTML = `<label class="upload"><span></span><input type="file" accept=".zip,application/zip"></label>
+  el.innerHTML = `<label class="upload"><span></span><input type="file"></label>
     <progress max="1" value="0" hidden></progress> <button type="button" hidden>Cancel</button>`;
   const input = el.querySelector("input"), bar = el.querySelector("progress"), end = el.querySelector("button");
   el.querySelector("span").textContent = model.label;
+  input.accept = model.accept;
   bar.setAttribute("aria-label", "Upload");
   let file = null, at = 0, number = 0;
 
@@ -93,9 +95,12 @@ class ZipUpload(pn.custom.JSComponent):
     """
 
     label = param.String(default="Zip file")
+    accept = param.String(default=".zip,application/zip")
     part = param.Integer(default=PART)
 
     _esm = _ESM
+    #: What comes, for messages, and what is to be done where it is too large.
+    _what, _larger = "a zip", _LARGER
 
     def __init__(
         self,
@@ -107,7 +112,7 @@ class ZipUpload(pn.custom.JSComponent):
         **params: Any,
     ) -> None:
         super().__init__(stylesheets=[*SHEETS, _SHEET], sizing_mode="stretch_width", **params)
-        self._receiver = Receiver(folder, most)
+        self._receiver = Receiver(folder, most, self._what, self._larger)
         self._take, self._refuse = take, refuse
 
     def drop(self) -> None:
@@ -138,8 +143,9 @@ class ZipUpload(pn.custom.JSComponent):
 class Receiver:
     """Writes the parts of one upload at a time, and trusts nothing that is said of them."""
 
-    def __init__(self, folder: Path, most: int) -> None:
+    def __init__(self, folder: Path, most: int, what: str = "a zip", larger: str = _LARGER) -> None:
         self._folder, self._most = folder, most
+        self._what, self._larger = what, larger
         self._file: BinaryIO | None = None
         self._path = folder
         self._name, self._upload = "", -1
@@ -206,9 +212,9 @@ class Receiver:
         if not 0 < size <= self._most:
             raise DataError(
                 "This file cannot be uploaded",
-                expected=f"a zip of up to {self._most / 1e6:,.0f} MB",
+                expected=f"{self._what} of up to {self._most / 1e6:,.0f} MB",
                 found=f"{size / 1e6:,.1f} MB" if size else "an empty file",
-                todo="Put larger captures into a data folder of the server",
+                todo=self._larger,
             )
         with disk_errors(self._folder, "uploading to"):
             self._folder.mkdir(parents=True, exist_ok=True)

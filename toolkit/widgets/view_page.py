@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
@@ -13,12 +13,14 @@ import param
 
 from toolkit.errors import ToolkitError
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.localize_work import LocalizeWork
 from toolkit.runs.markup import Content, element
 from toolkit.runs.report_html import warning_list
-from toolkit.runs.view_scene import QueryPose, Stamp, ViewScene
+from toolkit.runs.view_scene import QueryPose, Stamp, ViewCamera, ViewScene
 from toolkit.runs.view_work import ViewWork, shared_process
 from toolkit.widgets.background import Background
 from toolkit.widgets.camera_list import CameraList
+from toolkit.widgets.localize_panel import LocalizePanel
 from toolkit.widgets.splat_list import SplatList
 from toolkit.widgets.splat_view import SplatView
 from toolkit.widgets.stream_view import StreamView
@@ -47,9 +49,11 @@ class ViewPage(pn.viewable.Viewer):
     show:
         Opens another tab for a run: ``show("compare", run_id)``.
     dark:
-        Of the other tabs' contract; the viewers take the colours of the page that they are on.
+        Whether the ground is dark; the viewers take the colours of the page that they are on.
     work:
         Reads, packs and draws splats; by default a process that all pages share.
+    localizer:
+        Localises photos; by default another such process.
     executor:
         Waits for it; by default a thread of the page.
 
@@ -77,6 +81,7 @@ class ViewPage(pn.viewable.Viewer):
         show: Callable[[str, str], None] | None = None,
         dark: bool = False,
         work: ViewWork | None = None,
+        localizer: LocalizeWork | None = None,
         executor: Executor | None = None,
     ) -> None:
         super().__init__(viewer=WEBGL if is_built() else CPU)
@@ -88,6 +93,15 @@ class ViewPage(pn.viewable.Viewer):
         self._listed = False
         self._problems: dict[str, str] = {} if is_built() else {"webgl": NOT_BUILT}
         self._make_parts()
+        self.localize = LocalizePanel(
+            runs_dir,
+            ask_where=lambda then: self._view.ask_where(then),
+            show=self._show_extras,
+            visit=self._visit_query,
+            work=localizer,
+            executor=executor,
+            dark=dark,
+        )
         self._layout = self._arranged()
         self._say()
 
@@ -142,6 +156,7 @@ class ViewPage(pn.viewable.Viewer):
     def _close(self, status: str = "") -> None:
         self._background.forget()
         self._opened, self.shown = None, None
+        self.localize.follow(None)
         self._cameras.fill(())
         self._tell("load", "")
         for view in self._views.values():
@@ -157,6 +172,7 @@ class ViewPage(pn.viewable.Viewer):
         if view is not self.shown:
             self.shown = view
             self._cameras.fill(view.cameras)
+            self.localize.follow(view)
             self._say()
         viewer = self._view
         viewer.camera = self.camera
@@ -200,7 +216,8 @@ class ViewPage(pn.viewable.Viewer):
         side.styles = {"flex": "1 1 260px", "min-width": "0"}
         self._place.styles = {"flex": "3 1 480px", "min-width": "0"}
         self._body = pn.FlexBox(self._place, side, gap="18px", sizing_mode="stretch_width")
-        return pn.Column(self._notice, top, self._body, self._foot, sizing_mode="stretch_width", margin=0)
+        parts = (self._notice, top, self._body, self._foot, self.localize)
+        return pn.Column(*parts, sizing_mode="stretch_width", margin=0)
 
     def _made(self) -> dict[str, SplatView | StreamView]:
         """Return the viewers that there are. Both stay on the page, one is to be seen: going back takes no time."""
@@ -239,6 +256,19 @@ class ViewPage(pn.viewable.Viewer):
         if failure:
             self._tell("webgl", f"{failure[:200]} Pictures come from the CPU rasterizer instead, which is slower.")
             self._exchange()
+
+    def _show_extras(self, cameras: Sequence[ViewCamera]) -> None:
+        """Show a photo's camera, and where its search began, beside the cameras of the run."""
+        for view in self._views.values():
+            view.extras = [camera.to_dict() for camera in cameras]
+        if self.shown is not None:
+            self._cameras.exchange((*self.shown.cameras, *cameras))
+
+    def _visit_query(self) -> None:
+        """Look through the photo's camera, the first one after the run's."""
+        if self.shown is not None:
+            self.camera = -1
+            self.camera = len(self.shown.cameras)
 
     def _take(self, run_id: str) -> None:
         if run_id:

@@ -1,7 +1,7 @@
 import { minus, plus, reversed, rotated, times } from "./vectors.js";
 
 // Readable on light and dark pictures alike.
-export const COLOURS = { train: "#3b82f6", test: "#f59e0b", query: "#ec4899" };
+export const COLOURS = { train: "#3b82f6", test: "#f59e0b", query: "#ec4899", start: "#a78bfa" };
 // How far, in pixels, a click may be from a camera's centre.
 const REACH = 12;
 
@@ -38,6 +38,7 @@ export function drawCameras(context, navigation, scene, chosen, width, height) {
     context.strokeStyle = COLOURS[use];
     context.lineWidth = number === chosen ? 3 : use === "query" ? 2.5 : 1.2;
     context.globalAlpha = number === chosen || use === "query" ? 1 : 0.8;
+    context.setLineDash(use === "start" ? [4, 4] : []);
     context.beginPath();
     for (const [i, j] of EDGES) {
       const line = inFront(points[i], points[j], 0.02 * scene.frustum);
@@ -48,6 +49,7 @@ export function drawCameras(context, navigation, scene, chosen, width, height) {
     context.stroke();
   });
   context.globalAlpha = 1;
+  context.setLineDash([]);
 }
 
 function inside([x, y], polygon) {

@@ -7,6 +7,8 @@ const FLIGHT = 600;
 const PER_PIXEL = 0.006, PER_KEY = 0.08;
 // Pixels that a click may wander.
 const STILL = 5;
+// Pixels of the longer side of a picture from the server: more would take it too long.
+const MOST = 1280;
 const HELP =
   "Drag to turn, drag with the right button or with Shift to shift, scroll to come nearer. Keys: arrows turn, " +
   "Shift and arrows shift, plus and minus come nearer, W A S D Q E walk, comma and full stop go from camera to " +
@@ -28,6 +30,8 @@ export class Stage {
     this.listen();
     model.on("scene", () => this.open());
     model.on("camera", () => this.visit(model.camera));
+    model.on("extras", () => this.label());
+    model.on("msg:custom", (message) => message.kind === "where" && this.answer(message.number));
     model.on("status", () => this.repeat());
     model.on("lifecycle:remove", () => this.close());
     this.tell();
@@ -92,22 +96,50 @@ export class Stage {
     this.scene = scene.cameras ? scene : null;
     this.root.dataset.empty = String(!this.scene);
     if (this.scene) {
-      this.navigation = new Navigation(scene.up, scene.radius, scene.cameras[camera] ?? scene.home);
-      const count = (use) => scene.cameras.filter((one) => one.use === use).length;
-      const names = { train: "training", test: "test", query: "query" };
-      this.legend.replaceChildren(
-        ...Object.keys(names).filter(count).map((use) => {
-          const item = document.createElement("span"), dot = document.createElement("i");
-          dot.style.background = COLOURS[use];
-          item.append(dot, `${count(use)} ${names[use]}`);
-          return item;
-        }),
-      );
+      this.navigation = new Navigation(scene.up, scene.radius, this.cameras[camera] ?? scene.home);
     } else {
       this.navigation = null;
-      this.legend.replaceChildren();
     }
+    this.label();
+  }
+
+  // The scene's cameras, and those that came after it was opened.
+  get cameras() {
+    return this.scene ? [...this.scene.cameras, ...this.model.extras] : [];
+  }
+
+  // Say which cameras there are.
+  label() {
+    const count = (use) => this.cameras.filter((one) => one.use === use).length;
+    const names = { train: "training", test: "test", query: "query", start: "start" };
+    this.legend.replaceChildren(
+      ...Object.keys(names).filter(count).map((use) => {
+        const item = document.createElement("span"), dot = document.createElement("i");
+        dot.style.background = COLOURS[use];
+        item.append(dot, `${count(use)} ${names[use]}`);
+        return item;
+      }),
+    );
     this.changed();
+  }
+
+  // Tell Python where the viewer stands.
+  answer(number) {
+    if (this.navigation) this.model.send_msg({ kind: "where", number, ...this.standing() });
+  }
+
+  // The view as a picture that the server may draw.
+  standing() {
+    const share = Math.min(1, MOST / Math.max(...this.size)), size = this.size.map((side) => share * side);
+    const { position, rotation } = this.navigation, { fx, fy, cx, cy } = this.navigation.projection(...size);
+    return {
+      position,
+      rotation,
+      focal: [fx, fy],
+      principal: [cx, cy],
+      size,
+      background: this.background,
+    };
   }
 
   // Say something over the picture, else what Python says; a share from 0 to 1 shows as a bar.
@@ -148,7 +180,8 @@ export class Stage {
       if (!this.showsCameras) return;
       const context = this.overlay.getContext("2d");
       context.scale(dense, dense);
-      drawCameras(context, this.navigation, this.scene, this.model.camera, width, height);
+      const scene = { ...this.scene, cameras: this.cameras };
+      drawCameras(context, this.navigation, scene, this.model.camera, width, height);
     });
   }
 
@@ -179,7 +212,7 @@ export class Stage {
   }
 
   visit(number) {
-    const camera = this.scene?.cameras[number];
+    const camera = this.cameras[number];
     if (camera) this.fly(camera);
     else this.changed();
   }
@@ -246,7 +279,8 @@ export class Stage {
     if (!place || !this.clicks || !this.scene || event.type !== "pointerup") return;
     this.clicks = false;
     if (!this.showsCameras) return;
-    const number = cameraAt(place, this.navigation, this.scene, ...this.size);
+    const scene = { ...this.scene, cameras: this.cameras };
+    const number = cameraAt(place, this.navigation, scene, ...this.size);
     if (number >= 0) this.choose(number);
   }
 
@@ -261,7 +295,7 @@ export class Stage {
     const view = this.navigation, step = 0.03 * view.radius, shift = event.shiftKey;
     const arrow = (x, y) => (shift ? view.pan(0.05 * x, 0.05 * y) : view.orbit(PER_KEY * x, PER_KEY * y));
     const next = (by) => {
-      const count = this.scene.cameras.length;
+      const count = this.cameras.length;
       if (count) this.choose((Math.max(this.model.camera, by > 0 ? -1 : 0) + by + count) % count);
     };
     const keys = {

@@ -2,8 +2,6 @@ import { Stage } from "./stage.js";
 
 // Milliseconds between two questions for a picture.
 const PACE = 40;
-// Pixels of the longer side: more would take the server too long.
-const MOST = 1280;
 
 // Pictures come from the server; the browser only says from where.
 export function render({ model, el }) {
@@ -16,17 +14,8 @@ export function render({ model, el }) {
     number += 1;
     model.send_msg({ kind: "view", number, ...wanted });
   };
-  const stage = new Stage(el, model, surface, (navigation, width, height) => {
-    const share = Math.min(1, MOST / Math.max(width, height)), size = [share * width, share * height];
-    const { fx, fy, cx, cy } = navigation.projection(...size);
-    wanted = {
-      position: navigation.position,
-      rotation: navigation.rotation,
-      focal: [fx, fy],
-      principal: [cx, cy],
-      size,
-      background: stage.background,
-    };
+  const stage = new Stage(el, model, surface, () => {
+    wanted = stage.standing();
     if (!waiting) waiting = setTimeout(ask, PACE);
   });
   stage.gone.signal.addEventListener("abort", () => clearTimeout(waiting));
