@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from toolkit.samples.city import CitySample, CitySettings
     from toolkit.samples.engine import EngineSettings
     from toolkit.samples.make import SampleSettings
+    from toolkit.samples.nadir_flight import NadirFlightSettings
+    from toolkit.samples.nadir_queries import NadirQuerySampleSettings
     from toolkit.scene import Scene
 
 
@@ -62,7 +64,7 @@ class CellProgress:
 
 def sample_folder(
     work: Path,
-    settings: SampleSettings | EngineSettings | CitySettings,
+    settings: SampleSettings | EngineSettings | CitySettings | NadirFlightSettings | NadirQuerySampleSettings,
     *,
     seed: int = 0,
     progress: Progress = silent,
@@ -70,14 +72,17 @@ def sample_folder(
     """Return the folder of a sample flight, engine or city below ``work``, making it where it is not there.
 
     Its name tells the settings apart, so that a changed setting never meets an older sample. Raises as
-    :func:`toolkit.samples.make.make_sample`, :func:`toolkit.samples.engine.make_engine` and
-    :func:`toolkit.samples.city.make_city`.
+    :func:`toolkit.samples.make.make_sample`, :func:`toolkit.samples.engine.make_engine`,
+    :func:`toolkit.samples.city.make_city`, :func:`toolkit.samples.nadir_flight.make_nadir_flight` and
+    :func:`toolkit.samples.nadir_queries.make_nadir_queries`.
     """
     # Open3D, which casts the rays, else writes about a viewer of its own into the cell.
     os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "True")
     from toolkit.samples.city import CitySettings, make_city
     from toolkit.samples.engine import EngineSettings, make_engine
     from toolkit.samples.make import make_sample
+    from toolkit.samples.nadir_flight import NadirFlightSettings, make_nadir_flight
+    from toolkit.samples.nadir_queries import NadirQuerySampleSettings, make_nadir_queries
     from toolkit.workspace import fingerprint
 
     made_with = {"seed": seed, "settings": settings.to_dict()}
@@ -86,6 +91,13 @@ def sample_folder(
         return make_engine(work / f"engine-{mark}", settings, seed=seed, progress=progress).folder
     if isinstance(settings, CitySettings):
         return make_city(work / f"city-{mark}", settings, seed=seed, progress=progress).folder
+    if isinstance(settings, NadirFlightSettings):
+        make_nadir_flight(work / f"nadir-{mark}", settings, seed=seed, progress=progress)
+        return work / f"nadir-{mark}"
+    if isinstance(settings, NadirQuerySampleSettings):
+        folder = work / f"queries-{mark}"
+        make_nadir_queries(folder, settings.flight, settings.queries, seed=seed, progress=progress)
+        return folder
     folder = work / f"town-{mark}"
     if not folder.is_dir():
         make_sample(folder, settings, seed=seed, progress=progress)

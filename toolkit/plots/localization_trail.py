@@ -31,6 +31,7 @@ def trail_figure(
     found: bool = True,
     at: int | None = None,
     points: Points | None = None,
+    reach: float = 0.0,
     title: str = "",
 ) -> go.Figure:
     """Draw a search for a pose from above: start, the pose after each round, and where the camera truly was.
@@ -47,6 +48,9 @@ def trail_figure(
         Which one to mark.
     points:
         Of the map, drawn below.
+    reach:
+        What is drawn reaches so many metres from the true position, or else from the start, or to all of the trail
+        where that is farther; 0: the whole map.
     title:
         Of the figure.
 
@@ -61,16 +65,10 @@ def trail_figure(
         raise DataError("There is no such pose in the trail", expected=f"0 to {len(trail) - 1}", found=f"{at}")
     centres = np.array([pose.centre for pose in trail])
     drawn = figure(title, 420, showlegend=False, margin={"t": 40})
+    middle = centres[0] if truth is None else truth.centre
+    far = max(reach, 1.1 * float(np.abs(centres - middle)[:, :2].max())) if reach > 0 else np.inf
     if points is not None and len(points):
-        keep = thinned(len(points), _MOST_POINTS)
-        drawn.add_scattergl(
-            x=points.xyz[keep, 0].astype(np.float32),
-            y=points.xyz[keep, 1].astype(np.float32),
-            mode="markers",
-            hoverinfo="skip",
-            opacity=0.35,
-            marker={"size": 2.5, "color": [f"rgb({r},{g},{b})" for r, g, b in points.rgb[keep].tolist()]},
-        )
+        drawn.add_trace(_ground(points, middle, far))
     if truth is not None:
         drawn.add_scatter(
             x=truth.centre[:1],
@@ -85,10 +83,11 @@ def trail_figure(
         x=centres[:, 0],
         y=centres[:, 1],
         mode="lines+markers",
-        line={"color": COLOURS[1], "width": 2},
+        line={"color": COLOURS[1], "width": 3},
         marker={
             "color": COLOURS[1],
-            "size": [13 if number == at else 8 for number in range(len(trail))],
+            "size": [15 if number == at else 10 for number in range(len(trail))],
+            "line": {"color": "white", "width": 1},
             "symbol": ["square", *["circle"] * (len(trail) - 2), last][: len(trail)],
         },
         text=texts,
@@ -97,7 +96,24 @@ def trail_figure(
     )
     drawn.update_xaxes(title_text="east [m]", constrain="domain")
     drawn.update_yaxes(title_text="north [m]", scaleanchor="x", scaleratio=1)
+    if np.isfinite(far):
+        drawn.update_xaxes(range=[middle[0] - far, middle[0] + far])
+        drawn.update_yaxes(range=[middle[1] - far, middle[1] + far], constrain="domain")
     return drawn
+
+
+def _ground(points: Points, middle: NDArray[np.float64], far: float) -> go.Scattergl:
+    """Return the map's points that are at most so far from the middle, along either axis."""
+    near = np.flatnonzero((np.abs(points.xyz - middle)[:, :2] <= far).all(axis=1))
+    keep = near[thinned(len(near), _MOST_POINTS)] if len(near) else near
+    return go.Scattergl(
+        x=points.xyz[keep, 0].astype(np.float32),
+        y=points.xyz[keep, 1].astype(np.float32),
+        mode="markers",
+        hoverinfo="skip",
+        opacity=0.35,
+        marker={"size": 3, "color": [f"rgb({r},{g},{b})" for r, g, b in points.rgb[keep].tolist()]},
+    )
 
 
 def offset_errors_figure(
@@ -127,7 +143,7 @@ def offset_errors_figure(
         raise DataError("There are no errors to draw", expected="a method with an offset", found="none")
     offsets = sorted({value for by_offset in errors.values() for value in by_offset})
     step = min(np.diff(offsets)) if len(offsets) > 1 else 1.0
-    drawn = figure(title, 420, showlegend=True, margin={"b": 96})
+    drawn = figure(title, 420, showlegend=True, margin={"b": 72})
     if offset == "metres" and len(offsets) > 1:
         line = [value for value in offsets if value > 0]
         drawn.add_scatter(
