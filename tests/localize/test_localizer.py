@@ -16,7 +16,7 @@ from toolkit.localize.judge import likeness
 from toolkit.localize.localizer import Localizer
 from toolkit.localize.one_shot import OneShot, one_shot_name
 from toolkit.localize.polish import polish
-from toolkit.localize.query import Query, flat_picture, render_camera
+from toolkit.localize.query import Query, flat_picture, render_camera, shrunk_query
 from toolkit.localize.settings import LocalizeSettings, OneShotSettings, PolishSettings, ReliabilitySettings
 from toolkit.localize.splat_map import SplatMap
 from toolkit.localize.starts import Start
@@ -201,3 +201,26 @@ def test_one_shot_is_the_papers_with_the_papers_features_only() -> None:
 def test_a_photo_must_fit_its_camera() -> None:
     with pytest.raises(DataError, match="does not fit its camera"):
         Query("photo", np.zeros((10, 10, 3), np.uint8), CAMERA)
+
+
+def test_photos_finer_than_the_map_are_shrunk(ground: SplatMap) -> None:
+    # Disks of 0.36 m: a quarter of that is a pixel of 0.09 m, which this camera has from 18 m.
+    assert ground.detail() == pytest.approx(0.36, rel=1e-3)
+    low = down(2.0, 1.0, height=8.0, turn=(1.0, 2.0, 10.0))
+    near = photo(ground, low, ColmapCamera.pinhole(480, 360, 400.0))
+    done = Localizer(ground, settings()).localize(near, start(down(3.0, 0.0, height=9.0), 2.0, 5.0))
+    assert done.cam_from_world is not None
+    assert pose_errors(done.cam_from_world, low)[0] < 0.02
+    # Pixels of the photo that was matched: it was shrunk to the least side.
+    assert done.trail[0].photo_pixels.max() < 161
+    whole = Localizer(ground, settings(finest=0.0)).localize(near, start(down(3.0, 0.0, height=9.0), 2.0, 5.0))
+    assert whole.trail[0].photo_pixels.max() > 400
+
+
+def test_a_photo_is_shrunk_with_its_camera(query: Query) -> None:
+    half = shrunk_query(query, 2.0, least_side=10)
+    assert half.picture.shape == (90, 120, 3)
+    assert half.camera.params[0] == pytest.approx(100.0)
+    assert shrunk_query(query, 0.5, least_side=10) is query
+    assert shrunk_query(query, 100.0, least_side=60).picture.shape == (45, 60, 3)
+    assert shrunk_query(query, 2.0, least_side=1000) is query

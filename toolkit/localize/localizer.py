@@ -18,7 +18,7 @@ from toolkit.localize.judge import likeness, objection
 from toolkit.localize.matched_round import Clock, match_view, moved_by
 from toolkit.localize.pnp import pose_covariance
 from toolkit.localize.polish import polish
-from toolkit.localize.query import Query, flat_picture, render_camera
+from toolkit.localize.query import Query, flat_picture, render_camera, shrunk_query
 from toolkit.localize.result import Array, Localization, Round
 from toolkit.localize.settings import LocalizeSettings
 from toolkit.localize.splat_map import MapView, SplatMap
@@ -27,6 +27,8 @@ from toolkit.matching.picture_features import PictureFeatures, PictureMatcher, p
 
 # Steps that are this many standard deviations of the pose are no motion, only other matches.
 _NOISE = 3.0
+# Pixels of the longer side below which a photo is not shrunk: fewer hold no features.
+_LEAST_SIDE = 160
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +73,7 @@ class Localizer:
     ) -> None:
         self._map, self._settings = splat_map, settings
         self.matcher = matcher if matcher is not None else picture_matcher(settings.match, device=device)
+        self._finest = settings.finest * splat_map.detail()
 
     def localize(
         self, query: Query, start: Start, *, features: PictureFeatures | None = None, seed: int = 0
@@ -80,13 +83,15 @@ class Localizer:
         Parameters
         ----------
         features:
-            Of the photo, by the same matcher; found here where they are None.
+            Of the photo, by the same matcher; found here where they are None, or where the photo is shrunk.
         seed:
             Of RANSAC.
         """
         clock = Clock()
+        whole, query = query, self._as_fine_as_the_map(query, start.cam_from_world, clock)
         with clock.part("features"):
-            photo = features if features is not None else self.matcher.features(query.picture)
+            known = features if query is whole else None
+            photo = known if known is not None else self.matcher.features(query.picture)
         search = _Search(query, photo, seed, clock)
         trail, reason = self._rounds(search, start)
         if reason:
@@ -110,6 +115,16 @@ class Localizer:
         if reason:
             return _not_found(query, reason, trail, clock)
         return Localization(query.name, pose, "", last.matches, last.inliers, covariance, trail, clock.seconds)
+
+    def _as_fine_as_the_map(self, query: Query, start: RigidTransform, clock: Clock) -> Query:
+        """Return the photo, shrunk where its pixels are finer than what the map can show from the start."""
+        if self._finest <= 0:
+            return query
+        with clock.part("render"):
+            camera = render_camera(query.camera, self._settings.fan.side)
+            depth = _depth(self._map.render(camera, start, self._settings.reliable))
+        pixel = depth / float(query.camera.intrinsics[0, 0])
+        return shrunk_query(query, self._finest / pixel, least_side=_LEAST_SIDE)
 
     def _rounds(self, search: _Search, start: Start) -> tuple[tuple[Round, ...], str]:
         """Return the rounds, the last of which has the pose, or the reason why there is none."""

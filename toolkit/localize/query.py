@@ -42,6 +42,21 @@ class Query:
             )
 
 
+def shrunk_query(query: Query, factor: float, *, least_side: int) -> Query:
+    """Return a photo whose sides are shorter by ``factor``, averaged by area, with the camera that fits.
+
+    A factor below one changes nothing, and the longer side does not fall below ``least_side`` pixels.
+    """
+    from toolkit.scene.pictures import area_resize
+
+    longer = max(query.camera.width, query.camera.height)
+    scale = max(1.0 / max(factor, 1e-9), min(1.0, least_side / longer))
+    if scale >= 1.0:
+        return query
+    width, height = (max(1, round(scale * side)) for side in (query.camera.width, query.camera.height))
+    return Query(query.name, area_resize(query.picture, width, height), query.camera.scaled(width, height))
+
+
 def query_of(scene: Scene, frame: Frame) -> Query:
     """Return a frame's photo; its pose plays no part.
 

@@ -115,6 +115,13 @@ class LocalizeSettings(Settings):
     render_side = Integer(
         1024, bounds=(32, 8192), unit="px", doc="Longer side of what is rendered; never more than the photo's."
     )
+    finest = Number(
+        0.25,
+        bounds=(0.0, 10.0),
+        unit="of a Gaussian",
+        doc="Photos whose pixels are finer on the ground than this share of the map's small Gaussians (the lower "
+        "quartile of their standard deviations) are shrunk: near the ground the map has no such detail. 0: never.",
+    )
     rounds = Integer(
         6, bounds=(1, 100), doc="Renders that are matched, at most, from a start that was good enough."
     )

@@ -114,6 +114,18 @@ class SplatMap:
         return RasterSettings(kind=self.kind, backend=self.backend)
 
     @torch.no_grad()
+    def detail(self) -> float:
+        """Return the size of the map's small Gaussians in scene units.
+
+        The lower quartile of their standard deviations (the geometric mean of the two larger ones), of those that
+        are more opaque than not, or of all where none is.
+        """
+        opaque = torch.sigmoid(self.gaussians.opacity_logits) > 0.5
+        scales = self.gaussians.log_scales[opaque] if bool(opaque.any()) else self.gaussians.log_scales
+        axes = scales[:, :2] if self.kind == "2d" else scales.topk(2, dim=1).values
+        return float(np.quantile(axes.mean(dim=1).exp().cpu().numpy(), 0.25))
+
+    @torch.no_grad()
     def render(
         self, camera: ColmapCamera, cam_from_world: RigidTransform, reliable: ReliabilitySettings
     ) -> MapView:
