@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal, get_args
 from toolkit.errors import DataError, RunError, SettingsError
 from toolkit.progress import Progress, silent
 from toolkit.runs.folder import RunFolder
+from toolkit.runs.run_map import splat_kind
 
 if TYPE_CHECKING:
     from toolkit.geometry.cameras import ColmapCamera
     from toolkit.geometry.rigid import RigidTransform
     from toolkit.scene import Frame, Scene
     from toolkit.splat.gaussians import Gaussians
-    from toolkit.splat.rasterize import Kind
 
 PathName = Literal["turntable", "flythrough", "test"]
 Shown = Literal["colour", "depth"]
@@ -138,7 +138,7 @@ def render_run(
         _poses(scene, gaussians, chosen),
         what="colour" if chosen.what == "colour" else "median_depth",
         background=(0.0, 0.0, 0.0) if chosen.background == "black" else (1.0, 1.0, 1.0),
-        settings=RasterSettings(kind=_kind(run), backend=chosen.device),
+        settings=RasterSettings(kind=splat_kind(run), backend=chosen.device),
         progress=progress,
     )
     if to.suffix.lower() == _VIDEO:
@@ -211,8 +211,3 @@ def _poses(scene: Scene, gaussians: Gaussians, options: RenderOptions) -> Sequen
     solid = gaussians.opacity_logits.sigmoid() > _SOLID
     points = gaussians.means[solid] if solid.any() else gaussians.means
     return scene_turntable(scene, points.numpy(), options.frames)
-
-
-def _kind(run: RunFolder) -> Kind:
-    """Return which kind of Gaussians a run trained."""
-    return "2d" if run.record().flat_settings.get("train.kind") == "2d" else "3d"
