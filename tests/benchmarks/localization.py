@@ -26,11 +26,11 @@ import numpy as np
 from finished_runs import finished_run
 from scipy.ndimage import gaussian_filter
 
-from toolkit.files import write_json
 from toolkit.geometry.alignment import Similarity
 from toolkit.geometry.rigid import RigidTransform
 from toolkit.localize.batch import Batch, localize_batch
 from toolkit.localize.localizer import Localizer
+from toolkit.localize.offsets import errors_by_offset
 from toolkit.localize.one_shot import OneShot
 from toolkit.localize.query import Query, query_of
 from toolkit.localize.result import Localization
@@ -98,23 +98,23 @@ def truth_of(scene: Scene) -> dict[str, RigidTransform]:
 
 def offsets(opened: Opened, arguments: argparse.Namespace) -> None:
     """Success as starts are farther off, in metres and in degrees."""
-    scene, truth = opened.own(arguments.every), truth_of(opened.scene)
-    record: dict[str, dict[str, list[float]]] = {}
-    print(HEAD)
-    for unit, steps in (("m", METRES), ("deg", DEGREES)):
-        for step in steps:
-            starts = offset_starts(scene, step if unit == "m" else 0.0, step if unit == "deg" else 0.0, seed=0)
-            for method in opened.methods:
-                batch = localize_batch(method, scene, starts)
-                errors = batch.errors(truth)
-                print(line(f"{step:g} {unit}", batch, errors), flush=True)
-                record.setdefault(unit, {}).setdefault(method.name, []).append(errors.recall(*RIGHT))
-    if arguments.out is not None:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        write_json(arguments.out / "offsets.json", {"m": METRES, "deg": DEGREES, "success": record})
-        for unit, steps, offset in (("m", METRES, "metres"), ("deg", DEGREES, "degrees")):
-            curves = {name: (list(steps), shares) for name, shares in record[unit].items()}
-            drawn = success_figure(curves, offset=offset, success="within 0.5 m and 1 degree")
+    told: dict[str, dict[str, list[float]]] = {}
+    print("| start off by | method | found | MTE m | MRE deg | within 0.5 m, 1 deg |\n|---|---|---|---|---|---|")
+    for unit, steps in (("metres", METRES), ("degrees", DEGREES)):
+        errors = errors_by_offset(opened.methods, opened.scene, steps, unit, every=arguments.every)
+        for name, by_step in errors.items():
+            for step, found in by_step.items():
+                share = found.recall(*RIGHT)
+                told.setdefault(unit, {}).setdefault(name, []).append(share)
+                print(
+                    f"| {step:g} {unit} | {name} | {found.found} of {len(found.names)} | {found.mte:.3f} | "
+                    f"{found.mre_deg:.3f} | {share:.2f} |",
+                    flush=True,
+                )
+        if arguments.out is not None:
+            arguments.out.mkdir(parents=True, exist_ok=True)
+            curves = {name: (list(steps), shares) for name, shares in told[unit].items()}
+            drawn = success_figure(curves, offset=unit, success="within 0.5 m and 1 degree")
             drawn.write_html(arguments.out / f"offsets_{unit}.html")
 
 

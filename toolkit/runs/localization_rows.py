@@ -8,11 +8,12 @@ from typing import Final
 
 from toolkit.runs.paper_rows import PaperRow
 
-#: The maps, in the paper's order.
+#: The paper's maps in its order, and ours.
 ROWS: Final = (
     PaperRow("2dgs-sparse", "2DGS, sparse start", "2dgs-sparse", {}),
     PaperRow("2dgs-dense", "2DGS, dense start", "2dgs-dense", {}),
     PaperRow("2dgs-dense-pos", "2DGS, dense start, positions held", "2dgs-dense-pos", {}),
+    PaperRow("2dgs-held", "2DGS, dense start, depth held to stereo (ours)", "2dgs-held", {}),
 )
 #: Ways to find a pose, as a run's measures name them, in the table's order; others follow under their own names.
 MODES: Final[Mapping[str, str]] = {
