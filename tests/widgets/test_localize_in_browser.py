@@ -90,7 +90,7 @@ def test_a_photo_is_localised_from_where_the_viewer_stands(page: Page, run: RunF
     expect(page.locator("progress[aria-label=Upload]")).to_be_hidden()
     page.get_by_role("button", name="Localise", exact=True).click()
     expect(page.locator("article.view h3")).to_be_visible()
-    expect(page.get_by_text(f"{UNPOSED}", exact=True)).to_be_visible(timeout=2 * PATIENCE)
+    expect(page.get_by_role("cell", name=UNPOSED, exact=True)).to_be_visible(timeout=2 * PATIENCE)
     expect(page.get_by_label("Earlier results", exact=True).locator("option")).to_have_text(
         ["none", "localised here (2)"]
     )
