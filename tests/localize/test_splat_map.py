@@ -6,12 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 from splat_ground import CAMERA, HEIGHT, down, ground_map
 
 from toolkit.errors import CapabilityError, DataError
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.localize.settings import ReliabilitySettings
 from toolkit.localize.splat_map import SplatMap
+from toolkit.splat.gaussians import Gaussians
 
 
 def flat_map() -> SplatMap:
@@ -85,3 +87,15 @@ def test_the_background_shows_where_the_map_ends() -> None:
     view = hills.render(CAMERA, down(), ReliabilitySettings())
     assert view.colour[2, 2].tolist() == [255, 0, 0]
     assert view.depth[2, 2] == 0
+
+
+def test_a_faint_disk_before_the_camera_hides_nothing() -> None:
+    hills, pose = ground_map(), down()
+    near = hills.gaussians.map(lambda tensor: tensor[:1].clone())
+    near.means[0] = torch.tensor([0.0, 0.0, HEIGHT - 1.0])
+    near.log_scales[0] = 2.0
+    near.opacity_logits[0] = -3.0  # an opacity of five percent
+    both = Gaussians(**{name: torch.cat([tensor, getattr(near, name)]) for name, tensor in hills.gaussians.named()})
+    view = SplatMap(both).render(CAMERA, pose, ReliabilitySettings())
+    assert view.reliable.mean() > 0.9
+    assert abs(float(np.median(view.depth[view.reliable])) - HEIGHT) < 2.0

@@ -39,7 +39,7 @@ class ReliabilitySettings(Settings):
         bounds=(0.0, 10.0),
         unit="of the depth",
         doc="Largest standard deviation of the depths that a pixel is blended of (kind 3d: difference of mean and "
-        "median).",
+        "median), or twice the picture's median one where that is larger.",
     )
     max_step = Number(
         0.05,

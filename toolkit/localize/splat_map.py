@@ -19,6 +19,9 @@ from toolkit.splat.rasterize import BackendName, Kind, RasterSettings, RenderOut
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# Spreads up to this many times the picture's median one are usual.
+_USUAL = 2.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapView:
@@ -163,7 +166,10 @@ def _reliable(output: RenderOutput, camera: ColmapCamera, settings: ReliabilityS
     else:
         # The distortion is the variance of the depths along the ray times the square of the alpha.
         spread = np.sqrt(np.maximum(output.distortion[0].cpu().numpy(), 0.0)) / np.maximum(alpha, 1e-6)
-    good: Mask = drawn & (spread <= settings.max_spread * deep) & (_step(median) <= settings.max_step * deep)
+    # A faint Gaussian right before the camera spreads all depths alike: then what is usual is no reason for doubt.
+    usual = _USUAL * float(np.median(spread[drawn])) if drawn.any() else 0.0
+    good: Mask = drawn & (spread <= np.maximum(settings.max_spread * deep, usual))
+    good &= _step(median) <= settings.max_step * deep
     if output.normals is not None:
         normals = output.normals[0].cpu().numpy().astype(np.float64)
         good &= _cosine(normals, camera) >= np.cos(np.radians(settings.max_slant))
