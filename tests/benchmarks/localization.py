@@ -33,7 +33,6 @@ from toolkit.localize.localizer import Localizer
 from toolkit.localize.offsets import errors_by_offset
 from toolkit.localize.one_shot import OneShot
 from toolkit.localize.query import Query, query_of
-from toolkit.localize.result import Localization
 from toolkit.localize.settings import LocalizeSettings, OneShotSettings
 from toolkit.localize.splat_map import SplatMap
 from toolkit.localize.starts import Start, attitude_offset, offset_starts
@@ -187,17 +186,11 @@ def lost(opened: Opened, arguments: argparse.Namespace) -> None:
     print("| queries | method | believed | of | smallest sigma m |\n|---|---|---|---|---|")
     for name, pairs in sets.items():
         for method in opened.methods:
-            found = [_localized(method, query, start) for query, start in pairs]
+            found = [method.localize(query, start) for query, start in pairs]
             sure = [done for done in found if done]
             sigmas = [float(done.position_sigma.max()) for done in sure if done.position_sigma is not None]
             least = f"{min(sigmas):.3f}" if sigmas else "-"
             print(f"| {name} | {method.name} | {len(sure)} | {len(found)} | {least} |", flush=True)
-
-
-def _localized(method: OneShot | Localizer, query: Query, start: Start) -> Localization:
-    if isinstance(method, OneShot):
-        return method.localize(query, start.cam_from_world)
-    return method.localize(query, start)
 
 
 def times(opened: Opened, arguments: argparse.Namespace) -> None:

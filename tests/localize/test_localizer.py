@@ -47,7 +47,7 @@ def start(pose: RigidTransform, metres: float = 10.0, degrees: float = 15.0) -> 
 
 def test_ours_ends_at_the_truth_where_one_shot_does_not(ground: SplatMap, query: Query) -> None:
     far = down(18.0, 6.0, turn=(12.0, 4.0, 35.0))
-    once = OneShot(ground, ONCE).localize(query, far)
+    once = OneShot(ground, ONCE).localize(query, start(far))
     ours = Localizer(ground, settings()).localize(query, start(far))
     assert once.cam_from_world is not None
     assert ours.cam_from_world is not None
@@ -97,7 +97,7 @@ def test_what_is_not_in_the_map_is_not_found(ground: SplatMap, query: Query, kin
     lost = Query("photo", pictures[kind], CAMERA)
     for done in (
         Localizer(ground, settings(**{"fan.most": 8})).localize(lost, start(down())),
-        OneShot(ground, ONCE).localize(lost, down()),
+        OneShot(ground, ONCE).localize(lost, start(down())),
     ):
         assert done.cam_from_world is None
         assert "matches agree" in done.reason

@@ -96,11 +96,7 @@ def localize_batch(
         raise DataError("Nothing to localise", expected="at least one start pose", found="none")
     found = []
     for start in track(starts, f"localize.{method.name}", progress):
-        query = query_of(scene, scene.frame(start.name))
-        if isinstance(method, OneShot):
-            done = method.localize(query, start.cam_from_world, seed=seed)
-        else:
-            done = method.localize(query, start, seed=seed)
+        done = method.localize(query_of(scene, scene.frame(start.name)), start, seed=seed)
         found.append(done)
         if watch is not None:
             watch(done)

@@ -105,6 +105,7 @@ class Localizer:
         if self._settings.polish.use and covariance is not None:
             with clock.part("polish"):
                 pose = self._polished(search, pose, covariance, depth)
+            if pose is not last.cam_from_world:
                 view = self._render(search, pose)
         with clock.part("judge"):
             picture, shown = flat_picture(query, view.camera)

@@ -7,13 +7,13 @@ SuperPoint and LightGlue this is the paper's method; with other features it runs
 
 from __future__ import annotations
 
-from toolkit.geometry.rigid import RigidTransform
 from toolkit.localize.matched_round import Clock, match_view
 from toolkit.localize.pnp import pose_covariance
 from toolkit.localize.query import Query, render_camera
 from toolkit.localize.result import Localization
 from toolkit.localize.settings import OneShotSettings, ReliabilitySettings
 from toolkit.localize.splat_map import SplatMap
+from toolkit.localize.starts import Start
 from toolkit.matching.picture_features import PictureFeatures, PictureMatcher, picture_matcher
 
 _NAMES = {
@@ -66,9 +66,9 @@ class OneShot:
         return one_shot_name(self.matcher.method)
 
     def localize(
-        self, query: Query, start: RigidTransform, *, features: PictureFeatures | None = None, seed: int = 0
+        self, query: Query, start: Start, *, features: PictureFeatures | None = None, seed: int = 0
     ) -> Localization:
-        """Return the pose of a photo, found from the start pose ``cam_from_world``.
+        """Return the pose of a photo, found from the pose of a start; how sure that is plays no part.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class OneShot:
             photo = features if features is not None else self.matcher.features(query.picture)
         with clock.part("render"):
             camera = render_camera(query.camera, settings.render_side)
-            view = self._map.render(camera, start, ReliabilitySettings())
+            view = self._map.render(camera, start.cam_from_world, ReliabilitySettings())
         done = match_view(
             view, photo, query.camera, self.matcher, settings.pnp, all_depths=True, seed=seed, clock=clock
         )

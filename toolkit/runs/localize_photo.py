@@ -156,14 +156,8 @@ class PhotoLocalizer:
         progress:
             Told of every picture in which features are looked for; raises to cancel.
         """
-        from toolkit.localize.one_shot import OneShot
-
         self._told.listen(progress)
-        if isinstance(self._method, OneShot):
-            found = self._method.localize(photo.query, start.cam_from_world, seed=seed)
-        else:
-            found = self._method.localize(photo.query, start, seed=seed)
-        return self._made(photo, start, found, seed)
+        return self._made(photo, start, self._method.localize(photo.query, start, seed=seed), seed)
 
     def localize_flight(
         self,

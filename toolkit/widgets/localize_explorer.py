@@ -185,14 +185,10 @@ class LocalizeExplorer:
         self._show_answer(self.done)
 
     def _localised(self) -> Localization:
-        from toolkit.localize.one_shot import OneShot
         from toolkit.localize.query import query_of
 
-        method, start = self._methods[self.method.value], self.start
-        query = query_of(self._scene, self.frame)
-        if isinstance(method, OneShot):
-            return method.localize(query, start.cam_from_world, seed=self._seed)
-        return method.localize(query, start, seed=self._seed)
+        method = self._methods[self.method.value]
+        return method.localize(query_of(self._scene, self.frame), self.start, seed=self._seed)
 
     def _moved(self) -> None:
         """Show the map from the start; what was found from another one no longer counts."""
