@@ -69,11 +69,13 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
 def _localize(arguments: argparse.Namespace) -> int:
     from toolkit.runs.index import find_run
     from toolkit.runs.localize_many import localize_many, named_photo
-    from toolkit.runs.localize_photo import PhotoLocalizer, method_settings
+    from toolkit.runs.localize_photo import PhotoLocalizer, check_follows, method_settings
     from toolkit.runs.localize_text import localized_text
 
     settings = method_settings(arguments.method, features=arguments.features, changes=arguments.set)
     choice = _choice(arguments)
+    if arguments.sequence:  # before maps and networks are opened
+        check_follows(settings)
     run = find_run(arguments.run, arguments.runs)
     localizer = PhotoLocalizer(run, settings, device=arguments.device)
     # All of them before the first is localised: a name that is wrong is told at once.

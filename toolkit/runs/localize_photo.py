@@ -64,6 +64,12 @@ def method_settings(method: str, *, features: str | None = None, changes: Sequen
     return settings.replace_from_text(changes)
 
 
+def check_follows(settings: Method) -> None:
+    """Raise :class:`SettingsError` where a method cannot follow a flight."""
+    if isinstance(settings, OneShotSettings):
+        raise SettingsError("The one shot cannot follow a flight", expected="the method ours", found="one-shot")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalizedPhoto:
     """What came of one photo.
@@ -186,10 +192,8 @@ class PhotoLocalizer:
         from toolkit.localize.localizer import Localizer
         from toolkit.localize.sequence import localize_sequence
 
-        if not isinstance(self._method, Localizer):
-            raise SettingsError(
-                "The one shot cannot follow a flight", expected="the method ours", found=self._method.name
-            )
+        check_follows(self.settings)
+        assert isinstance(self._method, Localizer)
         times = [photo.time for photo in photos]
         if any(time is None for time in times):
             untimed = next(photo.query.name for photo in photos if photo.time is None)
