@@ -199,3 +199,20 @@ def test_the_tables_on_localisation_take_the_nadir_flight_and_photographs_with_a
     assert "| 2DGS, dense start | sfm-test | ours | not run |" in said
     assert (tmp_path / "out" / "tables1to3.md").is_file()
     assert len(list_runs(tmp_path / "runs")) == 2
+
+
+def test_settings_are_changed_for_the_methods_that_have_them(
+    tmp_path: Path, places: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        registry, "all_recipes", lambda: {"2dgs-dense": dataclasses.replace(RECIPE, name="2dgs-dense")}
+    )
+    photos = write_photos(tmp_path / "flight")
+    name, value = next(item for item in RECIPE.settings_type().items() if type(item[1]) is int)
+    command = ["table", "uav-localization", "--rows", "2dgs-dense", "--data", str(photos), *places]
+    assert main([*command, "--set", f"{name}={value + 1}"]) == 0
+    (run,) = list_runs(tmp_path / "runs")
+    assert run.run.record().flat_settings[name] == value + 1
+    capsys.readouterr()
+    assert main([*command, "--set", "localise.often=1"]) == 2
+    assert "localise" in capsys.readouterr().err

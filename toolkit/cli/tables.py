@@ -12,6 +12,7 @@ from toolkit.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from toolkit.progress import Progress
+    from toolkit.recipes.base import Recipe
     from toolkit.runs.nerf_table import NerfRow
     from toolkit.runs.paper_rows import PaperRow
     from toolkit.runs.paper_runs import Attempt, TableOptions
@@ -95,6 +96,13 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         metavar="N",
         help="steps that fit each test photo's pose to the splat, for a column of its own; 0: leave it out [100]",
     )
+    added.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a setting of every method that has it",
+    )
     added.add_argument("--seed", type=int, default=0, help="of every random choice [0]")
     added.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to compute [cpu]")
     added.add_argument("--force", action="store_true", help="make finished runs again")
@@ -121,11 +129,11 @@ def _attempts(
     wishes: Mapping[str, Any],
     usual: Callable[[Progress], Mapping[str, Path]],
 ) -> list[Attempt]:
-    """Run the rows on the data that are named, or on the usual ones; a wish of None is none."""
+    """Run the rows on the data that are named, or on the usual ones."""
     from toolkit.recipes import registry
     from toolkit.runs.paper_runs import make_attempts
 
-    options = _options(arguments, wishes)
+    options = _options(arguments, rows, wishes)
     given = None if arguments.data is None else _named(arguments.data)
 
     def work(bar: Progress) -> list[Attempt]:
@@ -135,10 +143,26 @@ def _attempts(
     return with_bar(work)
 
 
-def _options(arguments: argparse.Namespace, wishes: Mapping[str, Any]) -> TableOptions:
+def _changes(recipes: Sequence[Recipe], texts: Sequence[str]) -> dict[str, Any]:
+    """Return settings by their names from texts ``key=value``: each is one that any of the methods has."""
+    plain = [recipe.settings_type() for recipe in recipes]
+    changes: dict[str, Any] = {}
+    for text in texts:
+        name = text.partition("=")[0].strip()
+        owners = [settings for settings in plain if name in dict(settings.items())]
+        for settings in (owners or plain)[:1]:  # one that does not have it says what is wrong
+            changes[name] = dict(settings.replace_from_text([text]).items())[name]
+    return changes
+
+
+def _options(arguments: argparse.Namespace, rows: Sequence[PaperRow], wishes: Mapping[str, Any]) -> TableOptions:
+    """Return how runs are made; a wish of None is none, and what ``--set`` says comes last."""
+    from toolkit.recipes import registry
     from toolkit.runs.paper_runs import TableOptions
 
+    known = registry.all_recipes()
     changes = {name: value for name, value in wishes.items() if value is not None}
+    changes |= _changes([known[row.recipe] for row in rows if row.recipe in known], arguments.set)
     return TableOptions(arguments.runs, changes, arguments.seed, arguments.device, arguments.force)
 
 
@@ -182,7 +206,7 @@ def _nerf(arguments: argparse.Namespace) -> None:
         "train.steps": arguments.train_steps,
         "train.max_side": arguments.max_side,
     }
-    options = _options(arguments, wishes)
+    options = _options(arguments, [row.row for row in rows], wishes)
     given = None if arguments.data is None else _named(arguments.data)
 
     def work(bar: Progress) -> list[Any]:

@@ -180,7 +180,8 @@ def _stage(
 def _start_metrics(scenario: str, starts: tuple[Start, ...], scene: Scene) -> dict[str, float | None]:
     truth = {frame.name: frame.cam_from_world for frame in scene.registered if frame.cam_from_world is not None}
     errors = localization_errors({start.name: start.cam_from_world for start in starts}, truth)
-    return {f"localize.start.{scenario}.mte_m": errors.mte, f"localize.start.{scenario}.mre_deg": errors.mre_deg}
+    key = f"localize.start.{scenario}"
+    return {f"{key}.photos": float(len(starts)), f"{key}.mte_m": errors.mte, f"{key}.mre_deg": errors.mre_deg}
 
 
 def _into_map(reference: Scene | None, mapped: Scene) -> dict[str, RigidTransform]:

@@ -111,7 +111,9 @@ NOTES: Final = (
     "started. Bias and spread: median of rendered minus true depth where the render counts as reliable, and its "
     "robust standard deviation; samples alone have a true depth.",
     "Errors are over the queries that were found, recall is over all of them; the paper does not say what became "
-    "of queries that were not found. Time is the median of a query. start: the error of the start pose itself.",
+    "of queries that were not found. They are against the poses that structure from motion gave the queries, as "
+    "the paper's; 'against truth' is the mean position error against the sample's true poses. Time is the median "
+    "of a query. start: the error of the start pose itself.",
     "The paper's method is one shot with SuperPoint and LightGlue. With other features it runs under its own name; "
     f"'{NOT_RUN}' says that it did not run, for want of the network's weights or because it was not asked for.",
     "Training is the time of training alone, as the paper's. Whole map is all stages from features to training, "

@@ -60,6 +60,7 @@ _GEOMETRY: Final = (
 _POSES: Final = (
     ("found (%)", "found", 100.0, 1),
     ("MTE (m)", "mte_m", 1.0, 3),
+    ("against truth (m)", "true_mte_m", 1.0, 3),
     ("RMSE-T (m)", "rmse_t_m", 1.0, 3),
     ("MRE (°)", "mre_deg", 1.0, 3),
     ("RMSE-R (°)", "rmse_r_deg", 1.0, 3),
@@ -68,7 +69,7 @@ _POSES: Final = (
     ("5 m, 5° (%)", "recall_5", 100.0, 1),
     ("time (s)", "seconds", 1.0, 2),
 )
-_START: Final = (("start: MTE (m)", "mte_m", 2), ("MRE (°)", "mre_deg", 2))
+_START: Final = (("start: MTE (m)", "mte_m", 2), ("MRE (°)", "mre_deg", 2), ("photos", "photos", 0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +281,7 @@ def _published_map(key: str) -> list[str]:
 
 
 def _published_pose(title: str, scenario: str, paper: PoseFigures) -> str:
-    blank = [""] * (len(_POSES) - 5)
-    errors = [f"*{value:.2f}*" for value in (paper.mte, paper.rmse_t, paper.mre, paper.rmse_r)]
+    known = {"mte_m": paper.mte, "rmse_t_m": paper.rmse_t, "mre_deg": paper.mre, "rmse_r_deg": paper.rmse_r}
+    cells = [f"*{known[name]:.2f}*" if name in known else "" for _, name, _, _ in _POSES]
     start = "" if paper.start_mte is None else f"*{paper.start_mte:.2f}*"
-    return _line(f"*{title}*", f"*{scenario}*", f"*{PUBLISHED}*", "", *errors, *blank, start, "")
+    return _line(f"*{title}*", f"*{scenario}*", f"*{PUBLISHED}*", *cells, start, "", "")
