@@ -252,6 +252,19 @@ def test_many_rows_come_a_page_at_a_time(queued: MakeRun, runs_dir: Path) -> Non
     assert len(table.shown) == 10
 
 
+def test_a_long_list_keeps_its_height_while_it_is_filtered(queued: MakeRun, runs_dir: Path) -> None:
+    first = queued(name="run 0")
+    table = table_of(runs_dir)
+    assert table.widget.height is None  # as tall as its row
+    for number in range(1, PAGE_ROWS):
+        shutil.copytree(first.path, runs_dir / f"20250101-{number:06d}-fake-0000")
+    table.refresh()
+    tall = table.widget.height
+    assert tall == table.widget.max_height
+    table.narrow(RunFilter(words=("20250101-000010",)))
+    assert (len(table.shown), table.widget.height) == (1, tall)
+
+
 def test_runs_that_were_not_read_yet_can_be_chosen(
     pair: list[RunFolder], runs_dir: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

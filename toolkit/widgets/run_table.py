@@ -21,6 +21,8 @@ from toolkit.widgets.run_cells import COLUMNS, NUMBERS, changes, field, formatte
 MOST_CHOSEN = 4
 #: Rows that the browser gets at a time: with thousands of runs the rest stays on the server.
 PAGE_ROWS = 25
+#: Pixels of the table, and the runs that fill it.
+_HEIGHT, _FULL = 420, 12
 #: Seconds of reading at a time; the next look at the disk goes on.
 _SLICE = 1.5
 #: Seconds for which a look at the disk by another page is good enough.
@@ -212,12 +214,17 @@ class RunTable(pn.viewable.Viewer):
             page_size=PAGE_ROWS,
             layout="fit_data_stretch",
             sizing_mode="stretch_width",
-            max_height=420,
+            max_height=_HEIGHT,
+            height=self._height(),
             stylesheets=[_SHEET],
             margin=0,
         )
         widget.param.watch(self._ticked, "selection")
         return widget
+
+    def _height(self) -> int | None:
+        """Return the height that a filter leaves as it is: else everything below moves and is drawn again."""
+        return _HEIGHT if len(self.rows) >= _FULL else None
 
     def _sorters(self) -> list[dict[str, str]]:
         name, descending = self._order
@@ -229,6 +236,7 @@ class RunTable(pn.viewable.Viewer):
         kept = [row for row in self.rows.values() if self._filter.keeps(row)]
         shown = [row.run.id for row in kept]
         old, frame = self.widget.value, self._all_cells().loc[shown]
+        self.widget.height = self._height()
         same = shown == self.shown and list(old) == list(frame) and bool((old.dtypes == frame.dtypes).all())
         self.shown = shown
         self._unsure = self._unsure or time.monotonic() < self._built
