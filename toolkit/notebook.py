@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -114,7 +114,7 @@ def poses_figure(found: Mapping[str, Scene], reference: Scene | None) -> go.Figu
     from toolkit.runs.trajectories import Trajectories, Trajectory, align_trajectories
 
     def path(scene: Scene) -> Trajectory:
-        return Trajectory({frame.name: frame.cam_from_world for frame in scene.registered if frame.cam_from_world})
+        return Trajectory(scene.poses)
 
     truth = None if reference is None else path(reference)
     aligned = align_trajectories({label: Trajectories(path(scene), truth) for label, scene in found.items()})
@@ -190,6 +190,19 @@ def surface_measures(run: RunFolder) -> dict[str, float | None]:
     measures = {title: None if value is None else factor * value for title, value, factor in known}
     spent = sum(time.seconds for time in result.times if not time.name.startswith("measure"))
     return {**measures, "time [s]": round(spent)}
+
+
+def nearby_frames(scene: Scene, name: str, reach: int = 3) -> Scene:
+    """Return a scene with only the frames at most ``reach`` places from one, and its points without their tracks.
+
+    Raises
+    ------
+    DataError
+        For a frame that the scene has not.
+    """
+    at = scene.frames.index(scene.frame(name))
+    points = None if scene.points is None else replace(scene.points, tracks=None)
+    return scene.replace(frames=scene.frames[max(0, at - reach) : at + reach + 1], points=points)
 
 
 #: Of satellites: name in a table, metric, factor.

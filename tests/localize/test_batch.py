@@ -38,7 +38,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def test_a_batch_tells_what_was_found_and_how_well(flight: Scene) -> None:
     ground = ground_map()
     starts = [Start(frame.name, down(4.0 * k + 3.0, 0.0), 5.0, 5.0) for k, frame in enumerate(flight.frames)]
-    truth = {frame.name: frame.cam_from_world for frame in flight.frames if frame.cam_from_world is not None}
+    truth = flight.poses
     events: list[ProgressEvent] = []
     settings = LocalizeSettings().replace({"polish.use": False, "fan.most": 2})
     seen: list[str] = []

@@ -58,7 +58,7 @@ def changed(scene: Scene, name: str, **changes: object) -> Scene:
 
 
 def errors(starts: tuple[Start, ...], scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    truth = {frame.name: frame.cam_from_world for frame in scene.registered if frame.cam_from_world}
+    truth = scene.poses
     found = localization_errors({start.name: start.cam_from_world for start in starts}, truth)
     return found.position, found.rotation_deg
 

@@ -50,12 +50,11 @@ def errors_by_offset(
     SettingsError, StageError, DataError
         As :func:`~toolkit.localize.starts.offset_starts` and :func:`~toolkit.localize.batch.localize_batch`.
     """
-    truth = {frame.name: frame.cam_from_world for frame in scene.registered if frame.cam_from_world is not None}
     errors: dict[str, dict[float, LocalizationErrors]] = {method.name: {} for method in methods}
     for offset in offsets:
         metres, degrees = (offset, 0.0) if unit == "metres" else (0.0, offset)
         starts = offset_starts(scene, metres, degrees, seed=seed)[::every]
         for method in methods:
             batch = localize_batch(method, scene, starts, seed=seed, progress=progress)
-            errors[method.name][float(offset)] = batch.errors(truth)
+            errors[method.name][float(offset)] = batch.errors(scene.poses)
     return errors

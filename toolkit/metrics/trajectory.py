@@ -293,7 +293,7 @@ def relative_errors(
     DataError, StageError
         As :func:`relative_pose_errors` does.
     """
-    found = {frame.name: frame.cam_from_world for frame in estimate.registered}
+    found = estimate.poses
     return relative_pose_errors(
         [found.get(frame.name) for frame in reference.frames],
         [frame.cam_from_world for frame in reference.frames],
@@ -319,10 +319,6 @@ def _common(
     estimate: Scene, reference: Scene
 ) -> tuple[tuple[str, ...], list[RigidTransform], list[RigidTransform]]:
     """Return names and both poses of the frames that have a pose in both scenes, in the reference's order."""
-    found = {frame.name: frame.cam_from_world for frame in estimate.registered}
-    rows = [
-        (frame.name, pose, frame.cam_from_world)
-        for frame in reference.registered
-        if (pose := found.get(frame.name)) is not None and frame.cam_from_world is not None
-    ]
+    found = estimate.poses
+    rows = [(name, found[name], true) for name, true in reference.poses.items() if name in found]
     return tuple(row[0] for row in rows), [row[1] for row in rows], [row[2] for row in rows]

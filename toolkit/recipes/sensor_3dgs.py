@@ -98,12 +98,11 @@ def _sensor_stage(
     context: RecipeContext,
 ) -> CachedStage:
     def poses_into(folder: Path) -> dict[str, Any]:
-        begun = () if start is None else read_scene(start.folder / SCENE).registered
         found = sensor_sfm(
             data.scene,
             matches.folder / DATABASE,
             settings.sensors,
-            start_poses={frame.name: frame.cam_from_world for frame in begun if frame.cam_from_world is not None},
+            start_poses={} if start is None else read_scene(start.folder / SCENE).poses,
             seed=context.seed,
             progress=context.progress,
             work_dir=folder / "work",

@@ -76,7 +76,7 @@ def _mesh(
 def _flat_scene(result: RecipeResult, posed: CachedStage, context: RecipeContext) -> Scene:
     """Return the undistorted scene on which the splat was trained, with the poses that it was left with."""
     scene = read_scene(undistorted(posed, context).folder / SCENE)
-    poses = {frame.name: frame.cam_from_world for frame in result.scene.registered}
+    poses = result.scene.poses
     return scene.replace(
         frames=tuple(replace(frame, cam_from_world=poses.get(frame.name)) for frame in scene.frames)
     )

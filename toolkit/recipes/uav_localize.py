@@ -142,8 +142,7 @@ def write_result(path: Path, report: dict[str, Any]) -> None:
 
 def batch_measures(batch: Batch, truth: Scene) -> dict[str, float | None]:
     """Return a batch's measures against the poses of a scene, with the median seconds of a photo."""
-    poses = {frame.name: frame.cam_from_world for frame in truth.registered if frame.cam_from_world is not None}
-    measures = _named(batch.errors(poses).measures())
+    measures = _named(batch.errors(truth.poses).measures())
     return {**measures, "seconds": batch.median_seconds}
 
 
@@ -178,8 +177,7 @@ def _stage(
 
 
 def _start_metrics(scenario: str, starts: tuple[Start, ...], scene: Scene) -> dict[str, float | None]:
-    truth = {frame.name: frame.cam_from_world for frame in scene.registered if frame.cam_from_world is not None}
-    errors = localization_errors({start.name: start.cam_from_world for start in starts}, truth)
+    errors = localization_errors({start.name: start.cam_from_world for start in starts}, scene.poses)
     key = f"localize.start.{scenario}"
     return {f"{key}.photos": float(len(starts)), f"{key}.mte_m": errors.mte, f"{key}.mre_deg": errors.mre_deg}
 
@@ -193,11 +191,7 @@ def _into_map(reference: Scene | None, mapped: Scene) -> dict[str, RigidTransfor
         motion = trajectory_errors(own, reference, "sim3").reference_from_estimate.inverse()
     except StageError:
         return {}
-    return {
-        frame.name: motion.apply_to_pose(frame.cam_from_world)
-        for frame in reference.registered
-        if frame.cam_from_world is not None
-    }
+    return {name: motion.apply_to_pose(pose) for name, pose in reference.poses.items()}
 
 
 def _true_measures(report: dict[str, Any], truth: dict[str, RigidTransform]) -> dict[str, float | None]:

@@ -263,6 +263,11 @@ class Scene:
         """The frames with a pose."""
         return tuple(frame for frame in self.frames if frame.cam_from_world is not None)
 
+    @property
+    def poses(self) -> dict[str, RigidTransform]:
+        """The poses ``cam_from_world`` of the frames that have one, by name."""
+        return {frame.name: frame.cam_from_world for frame in self.frames if frame.cam_from_world is not None}
+
     def of_split(self, split: Split) -> tuple[Frame, ...]:
         """Return the frames with a pose that belong to ``split``."""
         return tuple(frame for frame in self.registered if frame.split == split)
