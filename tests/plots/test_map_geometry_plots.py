@@ -31,6 +31,15 @@ def test_maps_share_one_scale_and_far_points_lie_on_top() -> None:
     assert distance_maps({"a": cloud(10, 1.0)}, most=3.0).layout.coloraxis.cmax == 3.0
 
 
+def test_a_stray_gaussian_does_not_make_the_ground_small() -> None:
+    centres, distances = cloud(2000, 1.0)
+    centres[7] = [900.0, -700.0, 0.0]
+    drawn = distance_maps({"a": (centres, distances), "b": cloud(500, 1.0)})
+    for axis in (drawn.layout.xaxis, drawn.layout.yaxis, drawn.layout.xaxis2, drawn.layout.yaxis2):
+        assert -5 < axis.range[0] < -2 < 2 < axis.range[1] < 5  # normal deviates
+    assert drawn.layout.xaxis.range == drawn.layout.xaxis2.range
+
+
 def test_maps_that_cannot_be_drawn_are_told() -> None:
     centres, distances = cloud(10, 1.0)
     with pytest.raises(DataError, match="no map to draw"):

@@ -29,7 +29,8 @@ def distance_maps(
     """Draw Gaussians from above, coloured by their distance to the dense cloud: one panel a map, one scale for all.
 
     The figure of absolute cloud-to-cloud distances of Matzke et al. (Figure 3). Far ones are drawn last, so that a
-    few of them are not hidden below many near ones.
+    few of them are not hidden below many near ones. All panels show the same ground, which one Gaussian in five
+    hundred may lie outside of: it would else make the rest of the map small.
 
     Parameters
     ----------
@@ -62,6 +63,7 @@ def distance_maps(
         horizontal_spacing=0.06,
     )
     drawn.update_annotations(font_size=13)
+    east, north = (_frame([centres[:, axis] for centres, _ in maps.values()]) for axis in (0, 1))
     for column, (centres, distances) in enumerate(maps.values(), start=1):
         rows = _drawn_rows(distances, seed)
         drawn.add_trace(
@@ -76,8 +78,8 @@ def distance_maps(
             col=column,
         )
         axis = "" if column == 1 else str(column)
-        drawn.update_yaxes(scaleanchor=f"x{axis}", scaleratio=1, row=1, col=column)
-        drawn.update_xaxes(title_text=f"east [{shown(unit)}]", row=1, col=column)
+        drawn.update_yaxes(scaleanchor=f"x{axis}", scaleratio=1, range=north, row=1, col=column)
+        drawn.update_xaxes(title_text=f"east [{shown(unit)}]", range=east, row=1, col=column)
     drawn.update_yaxes(title_text=f"north [{shown(unit)}]", row=1, col=1)
     drawn.update_layout(
         coloraxis={
@@ -145,6 +147,14 @@ def displacement_histogram(
             )
         drawn.update_yaxes(title_text="share", tickformat=".0%", rangemode="tozero", row=row, col=1)
     return drawn
+
+
+def _frame(values: list[Array]) -> list[float]:
+    """Return the least and the largest coordinate, but for a few stray ones, with a margin."""
+    low = min(float(np.percentile(each, 0.1)) for each in values)
+    high = max(float(np.percentile(each, 99.9)) for each in values)
+    margin = 0.03 * (high - low)
+    return [low - margin, high + margin]
 
 
 def _drawn_rows(distances: Array, seed: int) -> NDArray[np.int64]:
