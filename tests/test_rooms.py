@@ -36,6 +36,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "widgets": {"scene", "metrics", "samples", "localize", "views", "recipes", "plots", "runs"},
     "cli": {"samples", "capture", "poses", "recipes", "runs", "demo", "widgets"},
     "demo": {"samples", "scene", "recipes", "runs"},
+    "teach": set(),
     "notebook": {"samples", "scene", "poses", "views", "plots", "runs"},
 }
 

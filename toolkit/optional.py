@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import importlib
+from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
+from typing import TypeVar
 
-from toolkit.errors import MissingDependencyError
+from toolkit.errors import CapabilityError, MissingDependencyError
+
+Added = TypeVar("Added")
 
 _CURES = {
     "open3d": (
@@ -55,3 +59,56 @@ def require(module: str) -> ModuleType:
             found=str(error),
             todo=f"Install it: {_CURES[module.partition('.')[0]]}",
         ) from error
+
+
+def added_by_packages(group: str, kind: type[Added]) -> dict[str, Added]:
+    """Return what installed packages add to the toolkit by entry points of a group, each by its name.
+
+    Parameters
+    ----------
+    group:
+        Of the entry points, for example ``"toolkit.recipes"``.
+    kind:
+        What each must be; it has a ``name``, which is that of its entry point.
+
+    Raises
+    ------
+    MissingDependencyError
+        Where one cannot be imported; the message names its package.
+    CapabilityError
+        Where one is of another kind or has another name, or where two packages add the same name.
+    """
+    found: dict[str, Added] = {}
+    for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        if point.name in found:
+            raise CapabilityError(
+                f"Two packages add '{point.name}' to {group}",
+                expected="one",
+                todo=f"Uninstall one of them; {_origin(point)} is the second",
+            )
+        found[point.name] = _loaded(point, kind)
+    return found
+
+
+def _loaded(point: EntryPoint, kind: type[Added]) -> Added:
+    try:
+        made = point.load()
+    except (ImportError, AttributeError) as error:
+        raise MissingDependencyError(
+            f"'{point.name}', which {_origin(point)} adds to {point.group}, cannot be imported",
+            found=str(error),
+            todo="Mend or uninstall that package",
+        ) from error
+    if not isinstance(made, kind) or getattr(made, "name", None) != point.name:
+        named = f" named '{made.name}'" if isinstance(made, kind) and hasattr(made, "name") else ""
+        raise CapabilityError(
+            f"{point.value}, which {_origin(point)} adds to {point.group}, is not what it says",
+            expected=f"a {kind.__name__} named '{point.name}'",
+            found=f"a {type(made).__name__}{named}",
+            todo="Mend or uninstall that package",
+        )
+    return made
+
+
+def _origin(point: EntryPoint) -> str:
+    return f"the package '{point.dist.name}'" if point.dist is not None else point.value

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from toolkit.errors import SettingsError
+from toolkit.matching.added import AddedMatcherSettings, added_matchers, extract_added, match_added
 from toolkit.matching.descriptors import descriptor_path
 from toolkit.matching.features import FeatureReport, SiftSettings, extract_sift
 from toolkit.matching.learned import extract_learned, match_learned
@@ -19,14 +20,18 @@ from toolkit.matching.pairs import ChosenPairs
 from toolkit.progress import Progress, silent
 from toolkit.scene import Scene
 from toolkit.settings import Choice, Group, Settings
+from toolkit.workspace import code_version
 
 
 class FeatureSettings(Settings):
-    """Features and their matching; the settings of what was not chosen do not count."""
+    """Features and their matching; the settings of what was not chosen do not count.
+
+    Matchers of other packages (:mod:`toolkit.matching.added`) are further choices, each with a group of its own.
+    """
 
     method = Choice(
         "sift",
-        choices=("sift", "disk-lightglue", "aliked-lightglue"),
+        choices=("sift", "disk-lightglue", "aliked-lightglue", *added_matchers()),
         doc="SIFT with nearest neighbours, or learned features matched by LightGlue (make features installs them).",
     )
     sift = Group(SiftSettings(), doc="SIFT features")
@@ -36,8 +41,16 @@ class FeatureSettings(Settings):
     lightglue = Group(LightGlueSettings(), doc="Matching of learned features and geometric verification")
 
     @property
-    def chosen_features(self) -> SiftSettings | LearnedFeatureSettings:
+    def version(self) -> str:
+        """The method's name, of an added one with the version of its code, which the toolkit's does not tell."""
+        added = added_matchers().get(self.method)
+        return self.method if added is None else f"{self.method} {code_version(added.module)}"
+
+    @property
+    def chosen_features(self) -> SiftSettings | LearnedFeatureSettings | AddedMatcherSettings:
         """The settings of the features that were chosen."""
+        if self.method in added_matchers():
+            return self._added
         chosen: dict[str, SiftSettings | LearnedFeatureSettings] = {
             "sift": self.sift,
             "disk-lightglue": self.disk,
@@ -46,10 +59,21 @@ class FeatureSettings(Settings):
         return chosen[self.method]
 
     @property
-    def chosen_matching(self) -> MatchSettings | LightGlueSettings:
+    def chosen_matching(self) -> MatchSettings | LightGlueSettings | AddedMatcherSettings:
         """The settings of their matching."""
+        if self.method in added_matchers():
+            return self._added
         matching: MatchSettings | LightGlueSettings = self.match if self.method == "sift" else self.lightglue
         return matching
+
+    @property
+    def _added(self) -> AddedMatcherSettings:
+        settings: AddedMatcherSettings = getattr(self, added_matchers()[self.method].group)
+        return settings
+
+
+for _matcher in added_matchers().values():
+    FeatureSettings.param.add_parameter(_matcher.group, Group(_matcher.settings_type(), doc=_matcher.doc))
 
 
 def as_feature_settings(
@@ -76,7 +100,7 @@ def as_feature_settings(
 def extract_features(
     scene: Scene,
     database_path: Path,
-    settings: SiftSettings | LearnedFeatureSettings,
+    settings: SiftSettings | LearnedFeatureSettings | AddedMatcherSettings,
     *,
     seed: int = 0,
     progress: Progress = silent,
@@ -84,9 +108,12 @@ def extract_features(
 ) -> FeatureReport:
     """Write a new database with the features that the settings are of.
 
-    See :func:`~toolkit.matching.features.extract_sift` and :func:`~toolkit.matching.learned.extract_learned`, also
-    for what they raise. SIFT's are found on the processor whatever the device.
+    See :func:`~toolkit.matching.features.extract_sift`, :func:`~toolkit.matching.learned.extract_learned` and
+    :func:`~toolkit.matching.added.extract_added`, also for what they raise. SIFT's are found on the processor
+    whatever the device.
     """
+    if isinstance(settings, AddedMatcherSettings):
+        return extract_added(scene, database_path, settings, progress=progress)
     if isinstance(settings, SiftSettings):
         return extract_sift(scene, database_path, settings, seed=seed, progress=progress)
     return extract_learned(scene, database_path, settings, seed=seed, progress=progress, device=device)
@@ -96,7 +123,7 @@ def match_features(
     database_path: Path,
     scene: Scene,
     pairs: ChosenPairs,
-    settings: MatchSettings | LightGlueSettings,
+    settings: MatchSettings | LightGlueSettings | AddedMatcherSettings,
     *,
     features_from: Path | None = None,
     seed: int = 0,
@@ -105,8 +132,8 @@ def match_features(
 ) -> MatchReport:
     """Match and verify the features of a database by the method that the settings are of.
 
-    See :func:`~toolkit.matching.match.match_pairs` and :func:`~toolkit.matching.learned.match_learned`, also for
-    what they raise.
+    See :func:`~toolkit.matching.match.match_pairs`, :func:`~toolkit.matching.learned.match_learned` and
+    :func:`~toolkit.matching.added.match_added`, also for what they raise.
 
     Parameters
     ----------
@@ -114,6 +141,11 @@ def match_features(
         The database that ``database_path`` is a copy of; None where it is none. Descriptors of learned features are
         beside that one.
     """
+    described = descriptor_path(features_from or database_path)
+    if isinstance(settings, AddedMatcherSettings):
+        return match_added(
+            database_path, scene, pairs, settings, descriptors=described, seed=seed, progress=progress
+        )
     if isinstance(settings, MatchSettings):
         return match_pairs(database_path, scene, pairs, settings, seed=seed, progress=progress)
     return match_learned(
@@ -121,7 +153,7 @@ def match_features(
         scene,
         pairs,
         settings,
-        descriptors=descriptor_path(features_from or database_path),
+        descriptors=described,
         seed=seed,
         progress=progress,
         device=device,

@@ -8,18 +8,16 @@ pixel to one side (DISK right and down, ALIKED left); this is the networks' own 
 from __future__ import annotations
 
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
 
 from toolkit.errors import DataError, StageError
-from toolkit.files import require_free_space
-from toolkit.matching.database import create_database, settle
-from toolkit.matching.descriptors import Descriptors, descriptor_path, open_descriptors, write_descriptors
+from toolkit.matching.database import create_database
+from toolkit.matching.descriptors import Descriptors, descriptor_path, open_descriptors
+from toolkit.matching.feature_store import store_features, store_matches
 from toolkit.matching.features import FeatureReport, check_pictures, start_cameras
 from toolkit.matching.learned_settings import (
     AlikedSettings,
@@ -93,12 +91,7 @@ def extract_learned(
     descriptors: dict[int, torch.Tensor] = {}
     for number, frame in enumerate(track(scene.frames, "features", progress), start=1):
         keypoints[number], descriptors[number] = _features(extractor, scene, frame, known, device)
-    require_free_space(database_path, "writing")
-    with closing(pycolmap.Database.open(database_path)) as database, pycolmap.DatabaseTransaction(database):
-        for number, pixels in keypoints.items():
-            database.write_keypoints(number, pixels)
-    settle(database_path)
-    write_descriptors(descriptor_path(database_path), keypoints, descriptors, settings.kind)
+    store_features(database_path, keypoints, descriptors, settings.kind)
     counts = {frame.name: len(keypoints[number]) for number, frame in enumerate(scene.frames, start=1)}
     return FeatureReport(counts, time.perf_counter() - start)
 
@@ -152,11 +145,7 @@ def match_learned(
         matcher = _Matcher(scene, known, settings, device)
         for i, j in track(pairs.index.tolist(), "match", progress, total=len(pairs)):
             found.append(matcher.match(i, j))
-    require_free_space(database_path, "writing")
-    with closing(pycolmap.Database.open(database_path)) as database, pycolmap.DatabaseTransaction(database):
-        for (i, j), matches in zip(pairs.index.tolist(), found, strict=True):
-            database.write_matches(i + 1, j + 1, matches)
-    settle(database_path)
+    store_matches(database_path, pairs, found)
     verify_pairs(database_path, pairs, settings, seed=seed, progress=progress)
     return match_report(database_path, scene, time.perf_counter() - start)
 

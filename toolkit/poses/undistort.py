@@ -14,7 +14,9 @@ from PIL import Image
 
 from toolkit.errors import DataError
 from toolkit.files import atomic_path
-from toolkit.geometry.cameras import ColmapCamera
+from toolkit.geometry.cameras import Camera, ColmapCamera
+from toolkit.geometry.rigid import RigidTransform
+from toolkit.poses.resample import pinhole_for, resampled
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Frame, Scene, Tracks
 from toolkit.scene.colmap import colmap_camera
@@ -29,9 +31,10 @@ _MASK_INSIDE = 128
 def undistort(scene: Scene, folder: Path, *, progress: Progress = silent) -> Scene:
     """Return the scene's registered frames with pinhole cameras; pictures are rewritten into ``folder``.
 
-    Each camera gets the pinhole camera that COLMAP chooses: as much of the picture as fits without blank pixels.
-    Pictures keep their names and formats, observations in tracks are moved along, masks are resampled too. A scene
-    whose cameras have no distortion is returned as it is, and nothing is written.
+    Each camera gets the pinhole camera that COLMAP chooses: as much of the picture as fits without blank pixels; so
+    does any other camera whose rays meet in its centre (:mod:`toolkit.poses.resample`). Pictures keep their names
+    and formats, observations in tracks are moved along, masks are resampled too. A scene whose cameras have no
+    distortion is returned as it is, and nothing is written.
 
     Parameters
     ----------
@@ -47,31 +50,45 @@ def undistort(scene: Scene, folder: Path, *, progress: Progress = silent) -> Sce
     DataError
         Where a picture cannot be read or has not the size that its camera says.
     CapabilityError
-        Where a camera is none of COLMAP's.
+        Where a camera's rays do not meet in one point, or it sees more than a pinhole camera can.
     """
     used = {frame.camera_id for frame in scene.registered}
-    distorted = {number: colmap_camera(scene, number) for number in sorted(used)}
-    if all(camera.is_pinhole for camera in distorted.values()):
+    distorted = {number: scene.cameras[number] for number in sorted(used)}
+    if all(isinstance(camera, ColmapCamera) and camera.is_pinhole for camera in distorted.values()):
         return scene
-    options = pycolmap.UndistortCameraOptions()
-    flat = {
-        number: ColmapCamera.from_pycolmap(pycolmap.undistort_camera(options, camera.to_pycolmap()))
-        for number, camera in distorted.items()
-    }
+    flat = {number: _flat_camera(scene, number) for number in distorted}
     images, masks = folder / "images", folder / "masks"
     for frame in track(scene.registered, "undistort", progress):
-        camera, target = distorted[frame.camera_id].to_pycolmap(), images / frame.name
+        camera, target = distorted[frame.camera_id], images / frame.name
         picture = _checked(load_picture(scene.image_path(frame)), scene.image_path(frame), camera)
-        _write(_undistorted(picture, camera, options), target)
+        _write(_undistorted(picture, camera, flat[frame.camera_id]), target)
         mask = scene.mask_path(frame)
         if mask is not None:
             grey = np.ascontiguousarray(_checked(load_picture(mask), mask, camera)[:, :, 0])
-            inside = _undistorted(grey, camera, options) >= _MASK_INSIDE
+            inside = _undistorted(grey, camera, flat[frame.camera_id]) >= _MASK_INSIDE
             _write(inside.astype(np.uint8) * 255, masks / f"{frame.name}.png")
     return _with_cameras(scene, distorted, flat, images, masks if scene.mask_dir is not None else None)
 
 
-def _checked(picture: NDArray[np.uint8], path: Path, camera: pycolmap.Camera) -> NDArray[np.uint8]:
+def flatten(scene: Scene, folder: Path, *, progress: Progress = silent) -> Scene:
+    """Return all frames with pinhole cameras, no poses and no points; pictures are rewritten into ``folder``.
+
+    As :func:`undistort`, which see, for pictures whose intrinsics are known and whose poses are not.
+    """
+    bare = scene.without_poses()
+    # Undistortion takes the frames that have a pose; which one does not matter to it.
+    placed = tuple(dataclasses.replace(frame, cam_from_world=RigidTransform.identity()) for frame in bare.frames)
+    return undistort(bare.replace(frames=placed), folder, progress=progress).without_poses()
+
+
+def _flat_camera(scene: Scene, number: int) -> ColmapCamera:
+    if not isinstance(scene.cameras[number], ColmapCamera):
+        return pinhole_for(scene.cameras[number], f"camera {number}")
+    camera = colmap_camera(scene, number).to_pycolmap()
+    return ColmapCamera.from_pycolmap(pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera))
+
+
+def _checked(picture: NDArray[np.uint8], path: Path, camera: Camera) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise DataError(
@@ -83,10 +100,11 @@ def _checked(picture: NDArray[np.uint8], path: Path, camera: pycolmap.Camera) ->
     return picture
 
 
-def _undistorted(
-    picture: NDArray[np.uint8], camera: pycolmap.Camera, options: pycolmap.UndistortCameraOptions
-) -> NDArray[np.uint8]:
-    bitmap, _ = pycolmap.undistort_image(options, pycolmap.Bitmap.from_array(picture), camera)
+def _undistorted(picture: NDArray[np.uint8], camera: Camera, flat: ColmapCamera) -> NDArray[np.uint8]:
+    if not isinstance(camera, ColmapCamera):
+        return resampled(picture, camera, flat)
+    options = pycolmap.UndistortCameraOptions()
+    bitmap, _ = pycolmap.undistort_image(options, pycolmap.Bitmap.from_array(picture), camera.to_pycolmap())
     array: NDArray[np.uint8] = bitmap.to_array()
     return array
 
@@ -102,7 +120,7 @@ def _write(picture: NDArray[np.uint8], path: Path) -> None:
 
 def _with_cameras(
     scene: Scene,
-    distorted: Mapping[int, ColmapCamera],
+    distorted: Mapping[int, Camera],
     flat: Mapping[int, ColmapCamera],
     images: Path,
     masks: Path | None,

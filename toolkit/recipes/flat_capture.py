@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from toolkit import poses
-from toolkit.geometry.rigid import RigidTransform
-from toolkit.poses.undistort import undistort
+from toolkit.poses.undistort import flatten
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.cached import CachedStage, cached_stage
 from toolkit.recipes.steps import SCENE
@@ -22,11 +20,8 @@ def flat_capture(data: RecipeInput, context: RecipeContext) -> CachedStage:
     """
 
     def flat_into(folder: Path) -> dict[str, Any]:
-        bare = data.scene.without_poses()
-        # Undistortion takes the frames that have a pose; which one does not matter to it.
-        placed = tuple(replace(frame, cam_from_world=RigidTransform.identity()) for frame in bare.frames)
-        flat = undistort(bare.replace(frames=placed), folder / SCENE, progress=context.progress)
-        write_scene(flat.without_poses(), folder / SCENE)
+        flat = flatten(data.scene, folder / SCENE, progress=context.progress)
+        write_scene(flat, folder / SCENE)
         return {"images": len(flat)}
 
     return cached_stage(

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from toolkit import matching, poses
 from toolkit.errors import StageError
 from toolkit.matching.database import copy_database
-from toolkit.matching.features import SiftSettings, extract_sift
-from toolkit.matching.match import MatchSettings, match_pairs
+from toolkit.matching.features import SiftSettings
+from toolkit.matching.match import MatchSettings
 from toolkit.matching.pairs import ChosenPairs, PairSettings, choose_pairs
 from toolkit.poses.resection import place_by_tracks
 from toolkit.poses.sfm import SfmSettings, incremental_sfm
 from toolkit.recipes.base import RecipeContext, RecipeInput
 from toolkit.recipes.cached import CachedStage, cached_stage
-from toolkit.recipes.steps import DATABASE, SCENE
+from toolkit.recipes.steps import DATABASE, SCENE, features_and_matches
 from toolkit.scene import Scene
 from toolkit.scene.folder import read_scene, write_scene
 
@@ -82,34 +82,8 @@ def map_matches(
     context: RecipeContext,
 ) -> tuple[CachedStage, CachedStage]:
     """Return the stages features, of all photos, and matches, of the pairs of :func:`map_pairs`."""
-    scene, seed, progress = data.scene, context.seed, context.progress
-    chosen = map_pairs(scene, pairs)  # what the pairs lack is told before features are extracted
-
-    def features_into(folder: Path) -> dict[str, Any]:
-        return extract_sift(scene, folder / DATABASE, features, seed=seed, progress=progress).to_dict()
-
-    found = cached_stage(
-        context,
-        "features",
-        inputs={"capture": data.fingerprint, "method": "sift"},
-        settings=features,
-        code=(matching,),
-        build=features_into,
-    )
-
-    def matches_into(folder: Path) -> dict[str, Any]:
-        copy_database(found.folder / DATABASE, folder / DATABASE)
-        return match_pairs(folder / DATABASE, scene, chosen, match, seed=seed, progress=progress).to_dict()
-
-    matches = cached_stage(
-        context,
-        "matches",
-        inputs={"features": found.output.key, "pairs": pairs.to_dict(), "split": _split(scene)},
-        settings=match,
-        code=(matching,),
-        build=matches_into,
-    )
-    return found, matches
+    split = {"split": _split(data.scene)}
+    return features_and_matches(data, features, pairs, match, context, choose=map_pairs, chosen_by=split)
 
 
 def map_sfm(data: RecipeInput, matches: CachedStage, settings: SfmSettings, context: RecipeContext) -> CachedStage:

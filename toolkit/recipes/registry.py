@@ -4,12 +4,36 @@ from __future__ import annotations
 
 import difflib
 
-from toolkit.errors import SettingsError
+from toolkit.errors import CapabilityError, SettingsError
+from toolkit.optional import added_by_packages
 from toolkit.recipes.base import Recipe
+
+#: Entry points by which other packages add recipes.
+GROUP = "toolkit.recipes"
 
 
 def all_recipes() -> dict[str, Recipe]:
-    """Return every recipe by its name, in the order in which they are listed."""
+    """Return every recipe by its name in the order in which they are listed, those of other packages last.
+
+    Raises
+    ------
+    MissingDependencyError, CapabilityError
+        Where a recipe of another package cannot be loaded, is none, or has the name of one that is there.
+    """
+    recipes = built_in_recipes()
+    for name, recipe in added_by_packages(GROUP, Recipe).items():
+        if name in recipes:
+            raise CapabilityError(
+                f"A package adds the recipe '{name}', which the toolkit has already",
+                expected="another name",
+                todo="Rename it there, or uninstall that package",
+            )
+        recipes[name] = recipe
+    return recipes
+
+
+def built_in_recipes() -> dict[str, Recipe]:
+    """Return the toolkit's own recipes by their names, in the order in which they are listed."""
     from toolkit.recipes.blades import CIRCULAR, EXHAUSTIVE, SEQUENTIAL
     from toolkit.recipes.cf_3dgs import RECIPE as CF_3DGS
     from toolkit.recipes.colmap_3dgs import RECIPE as COLMAP_3DGS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,7 @@ from toolkit.matching.database import copy_database
 from toolkit.matching.feature_choice import FeatureSettings, as_feature_settings, extract_features, match_features
 from toolkit.matching.features import SiftSettings
 from toolkit.matching.match import MatchSettings
-from toolkit.matching.pairs import PairSettings, choose_pairs
+from toolkit.matching.pairs import ChosenPairs, PairSettings, choose_pairs
 from toolkit.metrics.lpips import Lpips
 from toolkit.poses.undistort import undistort
 from toolkit.recipes.base import RecipeContext, RecipeInput, RecipeResult, StageTime
@@ -38,6 +39,9 @@ def features_and_matches(
     pairs: PairSettings,
     match: MatchSettings | None,
     context: RecipeContext,
+    *,
+    choose: Callable[[Scene, PairSettings], ChosenPairs] = choose_pairs,
+    chosen_by: Mapping[str, Any] = {},
 ) -> tuple[CachedStage, CachedStage]:
     """Return the stages features and matches, each taken from the workspace where it is there.
 
@@ -50,9 +54,11 @@ def features_and_matches(
         Which features and how they are matched, or SIFT's settings.
     match:
         How SIFT features are matched where ``features`` are SIFT's settings; None beside FeatureSettings.
+    choose, chosen_by:
+        How pairs are chosen, and what that depends on beside capture and settings.
     """
     scene, seed, progress = data.scene, context.seed, context.progress
-    chosen = choose_pairs(scene, pairs)  # what the pairs lack is told before features are extracted
+    chosen = choose(scene, pairs)  # what the pairs lack is told before features are extracted
     wanted = as_feature_settings(features, match)
 
     def features_into(folder: Path) -> dict[str, Any]:
@@ -68,7 +74,7 @@ def features_and_matches(
     found = cached_stage(
         context,
         "features",
-        inputs={"capture": data.fingerprint, "method": wanted.method},
+        inputs={"capture": data.fingerprint, "method": wanted.version},
         settings=wanted.chosen_features,
         code=(matching,),
         build=features_into,
@@ -90,7 +96,7 @@ def features_and_matches(
     matches = cached_stage(
         context,
         "matches",
-        inputs={"features": found.output.key, "pairs": pairs.to_dict()},
+        inputs={"features": found.output.key, "pairs": pairs.to_dict(), **chosen_by},
         settings=wanted.chosen_matching,
         code=(matching,),
         build=matches_into,
