@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolkit.errors import RunError
+from toolkit.errors import DataError, RunError
 from toolkit.files import write_json
 from toolkit.geometry.cameras import ColmapCamera
 from toolkit.geometry.rigid import RigidTransform
@@ -15,6 +15,7 @@ from toolkit.notebook import (
     CellProgress,
     best_text,
     measures_text,
+    nearby_frames,
     poses_figure,
     sample_folder,
     seconds_figure,
@@ -24,7 +25,8 @@ from toolkit.notebook import (
 from toolkit.progress import ProgressEvent
 from toolkit.runs.folder import RunFolder
 from toolkit.samples.make import SampleSettings
-from toolkit.scene import Frame, Scene
+from toolkit.scene import Frame, Points, Scene
+from toolkit.scene.scene import Tracks
 
 
 def test_work_lies_below_runs_and_beside_the_notebooks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,3 +126,15 @@ def test_the_best_of_each_measure_is_told_with_the_next() -> None:
     told = best_text(columns, {"x": "lower", "y": "higher", "z": "lower"})
     assert told.splitlines() == ["x: c (1.500), then b (2)", "y: a (1)", "z: not measured"]
     assert best_text(columns, {"x": "higher"}) == "x: a (3), then b (2)"
+
+
+def test_frames_near_one_are_kept_and_points_lose_their_tracks() -> None:
+    seen = Tracks(np.array([0, 1]), np.array([0, 7]), np.zeros((2, 2)))
+    whole = scene(1.0, 8).replace(points=Points(np.zeros((2, 3)), np.zeros((2, 3), np.uint8), tracks=seen))
+    few = nearby_frames(whole, "6.jpg", reach=2)
+    assert [frame.name for frame in few.frames] == ["4.jpg", "5.jpg", "6.jpg", "7.jpg"]
+    assert few.points is not None
+    assert few.points.tracks is None
+    assert nearby_frames(whole.replace(points=None), "0.jpg").points is None
+    with pytest.raises(DataError, match="nowhere.jpg"):
+        nearby_frames(whole, "nowhere.jpg")
