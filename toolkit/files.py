@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import shutil
+import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +18,9 @@ from filelock import FileLock, Timeout
 from toolkit.errors import DataError, RunError
 
 _LEAST_FREE = 64 * 2**20
+#: Seconds for which a refused rename is tried again: on Windows nothing takes the place of a file, or is moved,
+#: while somebody reads it.
+_PATIENCE = 2.0 if os.name == "nt" else 0.0
 
 
 @contextmanager
@@ -116,7 +120,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
             yield temporary
             with temporary.open("rb+") as handle:
                 os.fsync(handle.fileno())
-            temporary.replace(path)
+            _patiently(lambda: temporary.replace(path))
     finally:
         # Where it cannot be removed either, the first error is the one to tell.
         with suppress(OSError):
@@ -136,10 +140,45 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     try:
         with disk_errors(path, "writing"):
             yield temporary
-            temporary.rename(path)
+            _patiently(lambda: temporary.rename(path))
     finally:
         if temporary.exists():
             shutil.rmtree(temporary)
+
+
+def _patiently(rename: Callable[[], object]) -> None:
+    until = time.monotonic() + _PATIENCE
+    while True:
+        try:
+            rename()
+            return
+        except PermissionError:
+            if time.monotonic() >= until:
+                raise
+            time.sleep(0.01)
+
+
+def stand_in(source: Path, place: Path) -> None:
+    """Let ``place`` stand for a file or folder that stays where it is, to be read only.
+
+    By a symbolic link. Where the system refuses these, as Windows does unless its developer mode is on, by hard
+    links, and where these cannot be had either by a copy.
+    """
+    try:
+        place.symlink_to(source.resolve(), target_is_directory=source.is_dir())
+    except OSError:
+        if source.is_dir():
+            shutil.copytree(source, place, copy_function=link_or_copy)
+        else:
+            link_or_copy(source, place)
+
+
+def link_or_copy(source: str | Path, place: str | Path) -> None:
+    """Let ``place`` be the same file on the disk as ``source``, or a copy on another disk or one without links."""
+    try:
+        os.link(source, place)
+    except OSError:
+        shutil.copy2(source, place)
 
 
 def write_text(path: Path, text: str) -> None:

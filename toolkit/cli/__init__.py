@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from toolkit.errors import Cancelled, ToolkitError
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code, most often 0; 2 for an error that is told, 130 when stopped."""
+    _bear_any_text()
     given = list(sys.argv[1:] if argv is None else argv)
     arguments = build_parser(
         with_sample_flags="sample" in given,
@@ -40,6 +42,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return code or 0
+
+
+def _bear_any_text() -> None:
+    """Write a question mark for what the output cannot hold, as arrows in a file or pipe of Windows' code pages."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def build_parser(

@@ -12,7 +12,7 @@ import pycolmap
 from toolkit.depth.dense_folder import DenseFolder, open_depth_views
 from toolkit.depth.stereo_settings import FusionSettings
 from toolkit.errors import StageError
-from toolkit.files import disk_errors, require_free_space
+from toolkit.files import disk_errors, require_free_space, stand_in
 from toolkit.geometry.cameras import Camera, ColmapCamera
 from toolkit.geometry.surface import Cloud
 from toolkit.progress import Progress, ProgressEvent, silent
@@ -75,7 +75,7 @@ def _colmap_workspace(dense: DenseFolder, place: Path) -> Path:
     scene = dense.scene
     cameras = {number: _half_pixel_less(camera) for number, camera in scene.cameras.items()}
     for name in ("images", "stereo"):
-        (place / name).symlink_to((dense.root / name).resolve(), target_is_directory=True)
+        stand_in(dense.root / name, place / name)
     write_colmap(scene.replace(cameras=cameras), place / "sparse")
     return place
 

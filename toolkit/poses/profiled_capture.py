@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from toolkit.errors import DataError
-from toolkit.files import disk_errors
+from toolkit.files import disk_errors, stand_in
 from toolkit.poses.calibrate import camera_name
 from toolkit.poses.camera_profile import CameraProfile, find_profile, read_profile, with_profile
 from toolkit.progress import Progress, silent
@@ -71,7 +71,7 @@ def capture_with_profile(
             with disk_errors(target, "writing"):
                 target.mkdir(parents=True, exist_ok=True)
                 (target / VIDEO_FILE).unlink(missing_ok=True)
-                (target / VIDEO_FILE).symlink_to(capture.video.resolve())
+                stand_in(capture.video, target / VIDEO_FILE)
         write_scene(scene, target)
     return ProfiledCapture(target, profile, warnings)
 

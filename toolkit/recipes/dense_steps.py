@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from pathlib import Path
@@ -17,7 +16,7 @@ from toolkit.depth.mesh_poisson import PoissonSettings, poisson_mesh
 from toolkit.depth.stereo import stereo_depth
 from toolkit.depth.stereo_settings import FusionSettings, StereoSettings
 from toolkit.errors import StageError
-from toolkit.files import disk_errors
+from toolkit.files import disk_errors, link_or_copy
 from toolkit.geometry.alignment import Similarity
 from toolkit.geometry.ray_casting import MeshCaster
 from toolkit.geometry.rigid import RigidTransform
@@ -86,17 +85,10 @@ def fusion_stage(maps: CachedStage, settings: FusionSettings, context: RecipeCon
 
 def linked_copy(source: Path, target: Path) -> None:
     """Copy a folder; its files are the same ones on the disk where the file system can do that."""
-
-    def link(name: str, place: str) -> None:
-        try:
-            os.link(name, place)
-        except OSError:  # another disk, or a file system without links
-            shutil.copy2(name, place)
-
     with disk_errors(target, "copying to"):
         if target.exists():
             shutil.rmtree(target)
-        shutil.copytree(source, target, copy_function=link)
+        shutil.copytree(source, target, copy_function=link_or_copy)
 
 
 def surface_result(

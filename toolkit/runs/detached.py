@@ -33,8 +33,11 @@ def start_detached(arguments: Sequence[str], output: Path) -> None:
             stdin=subprocess.DEVNULL,
             stdout=printed,
             stderr=printed,
-            env={**os.environ, "TQDM_DISABLE": "1"},
-            start_new_session=True,  # a Ctrl-C that ends the server is not for it
+            # UTF-8 also where Windows writes files in another code page.
+            env={**os.environ, "TQDM_DISABLE": "1", "PYTHONUTF8": "1"},
+            # A Ctrl-C that ends the server is not for it; the second says so on Windows, which knows no sessions.
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
         )
     # Somebody has to hear of its end, or it stays in the system's list as long as this process lives.
     threading.Thread(target=process.wait, name=f"end of {arguments[0]}", daemon=True).start()

@@ -116,7 +116,7 @@ def _protection(opening: Opening) -> dict[str, Any]:
                 f"The dashboard would be open to everyone who reaches {opening.host}, to start and delete runs",
                 expected="passwords for whatever is not this machine alone",
                 todo='Give --passwords FILE with {"name": "password"}, or leave --host out; panel serve '
-                "dashboards/runs.py takes Panel's own options for OAuth",
+                "dashboards/app.py takes Panel's own options for OAuth",
             )
         return {}
     return {
