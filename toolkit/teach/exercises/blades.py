@@ -57,9 +57,9 @@ def window(answer: float, *, wrong: NDArray[np.int64], settings: Any) -> Outcome
     first = int(np.abs(np.diff(wrong, axis=1)).min())
     if close_to(answer, first - 1):
         return right(
-            f"With {first - 1} frames there is none, with {first} the first. Half a blade is the limit: from "
-            "there on the next blade is nearer to the place of this one than it is itself. A narrower window "
-            "costs nothing but tracks that end sooner; a wider one costs the arc."
+            f"With {first - 1} frames there is none, with {first} the first. About half a blade is the limit: "
+            "from there on the next blade is nearer to the place of this one than it is itself. A narrower "
+            "window costs nothing but tracks that end sooner; a wider one costs the arc."
         )
     if close_to(answer, first):
         return hint("Just one too many: at this one the title already counts a wrong pair.")
