@@ -95,10 +95,11 @@ def match_heat_figure(
 
 def _heat(names: Sequence[str], pairs: Integers, counts: Integers) -> go.Heatmap:
     count = len(names)
-    values = np.full((count, count), np.nan, dtype=np.float32)
+    # None rather than NaN, which a FigureWidget cannot send to the page in a matrix.
+    values = np.full((count, count), None, dtype=object)
     texts = np.full((count, count), None, dtype=object)
     for (i, j), found in zip(pairs.tolist(), counts.tolist(), strict=True):
-        values[i, j] = values[j, i] = np.log10(found)
+        values[i, j] = values[j, i] = float(np.log10(found))
         texts[i, j] = texts[j, i] = f"{i} {shown(names[i])}<br>{j} {shown(names[j])}<br>{found:,} inliers"
     low, high = (int(counts.min()), int(counts.max())) if len(counts) else (1, 10)
     ticks = [value for value in _TICKS if low <= value <= high] or [low]
