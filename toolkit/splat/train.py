@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from torch import Tensor
 
@@ -30,6 +30,9 @@ from toolkit.splat.train_settings import Schedule, TrainSettings
 from toolkit.splat.train_state import HistoryRow, TrainState, scene_fingerprint
 from toolkit.splat.trainer import STAGE, Observer, Trainer
 from toolkit.splat.warm_up import warm_up
+
+#: Stage of compiling the kernels in progress events.
+COMPILE_STAGE: Final = "splat.compile"
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,13 +203,15 @@ def train_splats(
     unused = prediction_notes(predictions, len(photos))
     notes = (*_notes(scene, settings, wanted), *unused, *damaged)
     resumed_at = state.step
+    if state.step < settings.steps:
+        kinds = {photo.views.affine for photo in photos}
+        progress(ProgressEvent(COMPILE_STAGE, 0, 1, "once a machine, up to a minute"))
+        compiling = sum(warm_up(settings, affine=affine) for affine in kinds)
+        progress(ProgressEvent(COMPILE_STAGE, 1, 1))
+        state.seconds["compile"] = state.seconds.get("compile", 0.0) + compiling
     message = " ".join([*notes, f"resumed at step {resumed_at}" if resumed_at else ""]).strip()
     progress(ProgressEvent(STAGE, resumed_at, settings.steps, message))
 
-    if state.step < settings.steps:
-        kinds = {photo.views.affine for photo in photos}
-        compiling = sum(warm_up(settings, affine=affine) for affine in kinds)
-        state.seconds["compile"] = state.seconds.get("compile", 0.0) + compiling
     targets = _pose_targets(scene, settings, extent)
     trainer = Trainer(state, settings, extent, photos, test_photo, targets, observer, predictions)
     trainer.run(progress, checkpoint_dir, made_with)
