@@ -111,6 +111,7 @@ def make_samples(notebook: Path, folder: Path) -> list[Path]:
         return made[-1]
 
     with mock.patch.object(toolkit.notebook, MAKER, noted), _full_size(), contextlib.chdir(folder):
+        # The project's own notebooks, as running them in Jupyter would.
         exec(code, {"__name__": notebook.stem})
     return [path if path.is_absolute() else folder / path for path in made]
 

@@ -50,10 +50,7 @@ def flight(pairs: int = 60, *, attitude: float = ATTITUDE, stated: float = 0.1) 
 
 
 def changed(scene: Scene, name: str, **changes: object) -> Scene:
-    frames = tuple(
-        dataclasses.replace(frame, **changes) if frame.name == name else frame  # type: ignore[arg-type]
-        for frame in scene.frames
-    )
+    frames = tuple(dataclasses.replace(frame, **changes) if frame.name == name else frame for frame in scene.frames)
     return scene.replace(frames=frames)
 
 
@@ -76,7 +73,7 @@ def test_perfect_starts_are_the_poses_themselves(scenario: str, split: str) -> N
 def test_starts_ten_metres_off_are_drawn_evenly_on_each_axis() -> None:
     scene = flight(400)
     starts = scenario_starts("sfm-test-pos10", scene, seed=2)
-    off = np.array([s.cam_from_world.centre - scene.frame(s.name).cam_from_world.centre for s in starts])  # type: ignore[union-attr]
+    off = np.array([s.cam_from_world.centre - scene.frame(s.name).cam_from_world.centre for s in starts])
     assert np.abs(off).max() <= 10.0
     # A uniform draw of +-10 has mean 0 and standard deviation 5.77; of 400 the means scatter by 0.29, the standard
     # deviations by 0.13.
@@ -129,7 +126,7 @@ def test_starts_by_sensors_have_the_turn_taken_out_and_sigmas_that_hold() -> Non
     starts = scenario_starts("calc-test", scene)
     np.testing.assert_array_equal(
         starts[3].cam_from_world.centre.round(9), scene.frame(starts[3].name).prior.position.round(9)
-    )  # type: ignore[union-attr]
+    )
     position, rotation = errors(starts, scene)
     # The receiver states 0.1 m and is 0.4 m off; the attitude states 0.5 degrees and is 3 off.
     assert starts[0].position_sigma == pytest.approx(GNSS, rel=0.15)
@@ -147,7 +144,7 @@ def test_offset_starts_are_off_by_exactly_so_much(metres: float, degrees: float)
     position, rotation = errors(starts, scene)
     np.testing.assert_allclose(position, metres, atol=1e-9)
     np.testing.assert_allclose(rotation, degrees, atol=1e-6)
-    up = [s.cam_from_world.centre[2] - scene.frame(s.name).cam_from_world.centre[2] for s in starts]  # type: ignore[union-attr]
+    up = [s.cam_from_world.centre[2] - scene.frame(s.name).cam_from_world.centre[2] for s in starts]
     assert np.abs(up).max() <= 0.25 * metres + 1e-9
     assert starts[0].position_sigma == pytest.approx(max(metres / math.sqrt(3), EXACT_POSITION_SIGMA))
     assert starts[0].rotation_sigma_deg == pytest.approx(max(degrees / math.sqrt(3), EXACT_ROTATION_SIGMA_DEG))

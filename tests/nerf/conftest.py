@@ -69,7 +69,7 @@ def make_plane(tmp_path: Path) -> Callable[..., Scene]:
     def make(**changes: object) -> Scene:
         folder = tmp_path / "images"
         folder.mkdir(exist_ok=True)
-        return plane_scene(folder, **changes)  # type: ignore[arg-type]
+        return plane_scene(folder, **changes)
 
     return make
 

@@ -21,7 +21,7 @@ def test_only_inliers_are_counted_and_the_title_has_the_shift(monkeypatch: pytes
     compared = SimpleNamespace(found=np.eye(2), true=np.eye(2) + 0.1, shift=np.array([1.0, -2.0, 0.25]))
     monkeypatch.setattr(rpc_agreement, "compare_corrections", lambda cameras, true: compared)
 
-    before_and_after, shifts = agreement_figures(found, np.zeros((2, 6)), ["one.png", "two.png"])  # type: ignore[arg-type]
+    before_and_after, shifts = agreement_figures(found, np.zeros((2, 6)), ["one.png", "two.png"])
 
     assert [line.name for line in before_and_after.data] == ["as delivered", "corrected"]
     assert "1.0 m east, -2.0 m north, 0.2 m up" in shifts.layout.title.text

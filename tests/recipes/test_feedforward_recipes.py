@@ -282,7 +282,7 @@ def test_a_missing_package_is_told_before_any_work(
     name: str, data: RecipeInput, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recipe = find_recipe(name)
-    package = recipe.settings_type().network.provider  # type: ignore[attr-defined]
+    package = recipe.settings_type().network.provider
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingDependencyError, match=f"package '{package}' cannot be imported"):
         recipe.run(data, recipe.settings_type(), context(tmp_path / "work", tmp_path))
@@ -306,7 +306,7 @@ def test_missing_weights_are_told_before_any_work(
 def test_what_is_missing_is_known_without_a_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = find_recipe(name)
     settings = recipe.settings_type()
-    package = settings.network.provider  # type: ignore[attr-defined]
+    package = settings.network.provider
     there: set[str] = set()
     monkeypatch.setattr(importlib.util, "find_spec", lambda wanted: object() if wanted in there else None)
     assert missing_here(settings) == f"package missing: {package}"

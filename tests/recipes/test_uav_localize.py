@@ -88,7 +88,7 @@ def test_every_scenario_is_measured_by_both_methods(built: BuiltMap, tmp_path: P
             assert len(record["queries"]) == queries
     assert metrics["localize.start.sfm-test.mte_m"] == 0.0
     assert metrics["localize.start.calc-test.mte_m"] == pytest.approx(0.2 * 3**0.5)
-    assert metrics["localize.start.sfm-test-pos10.mte_m"] > 3.0  # type: ignore[operator]
+    assert metrics["localize.start.sfm-test-pos10.mte_m"] > 3.0
     pictures = sorted(path.name for path in (tmp_path / "artifacts" / FOLDER / "ours.sfm-train").iterdir())
     assert "median_photo.png" in pictures
     assert "worst_0_render.png" in pictures

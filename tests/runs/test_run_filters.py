@@ -14,7 +14,7 @@ from toolkit.runs.index import RunSummary
 
 def row(number: int, **fields: object) -> RunSummary:
     given: dict[str, object] = {"state": "finished", "recipe": "fake", **fields}
-    return RunSummary(RunFolder(Path(f"runs/20260101-00000{number}-fake-0000")), **given)  # type: ignore[arg-type]
+    return RunSummary(RunFolder(Path(f"runs/20260101-00000{number}-fake-0000")), **given)
 
 
 ROWS = [

@@ -61,7 +61,7 @@ def test_a_grid_makes_a_run_of_every_point_and_tells_how_far_it_is(photos: Path,
         assert (item.seed, item.name) == (4, f"rates {row.number}")
         assert item.run.record().flat_settings["loop.rate"] == row.values["loop.rate"]
         assert item.run.record().threads["torch"] == 1
-        assert row.value == item.metrics["test.psnr"]  # type: ignore[index]
+        assert row.value == item.metrics["test.psnr"]
     best = best_trial(rows, "maximise")
     assert best is not None
     assert best.values["loop.rate"] == 0.1  # the fake recipe's renders are worst at high rates

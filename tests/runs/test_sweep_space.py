@@ -145,7 +145,7 @@ def test_a_space_that_makes_no_sweep_is_told(
 
 def test_an_unknown_way_to_sweep_is_told() -> None:
     with pytest.raises(SettingsError, match="Unknown way to sweep 'evolution'; expected grid, random, tpe"):
-        check_space([parsed("loop.rate=1")], "evolution", 3)  # type: ignore[arg-type]
+        check_space([parsed("loop.rate=1")], "evolution", 3)
 
 
 def test_random_values_depend_on_seed_and_number_alone_and_stay_within_their_ranges() -> None:

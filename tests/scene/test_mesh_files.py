@@ -182,7 +182,7 @@ def test_a_glb_that_contradicts_itself_is_told(tmp_path: Path) -> None:
         other["nodes"][0]["children"] = [0]
 
     def lines(other: dict[str, list[dict[str, list[dict[str, object]]]]]) -> None:
-        other["meshes"][0]["primitives"][0]["mode"] = 1  # type: ignore[assignment]
+        other["meshes"][0]["primitives"][0]["mode"] = 1
 
     def packed(other: dict[str, object]) -> None:
         other["extensionsRequired"] = ["KHR_draco_mesh_compression"]

@@ -248,7 +248,7 @@ def test_ranges_of_heights_that_touch_have_their_end_in_common() -> None:
 )
 def test_nothing_to_open_is_an_error(tmp_path: Path, make: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        open_satellite(make(tmp_path))  # type: ignore[operator]
+        open_satellite(make(tmp_path))
 
 
 def test_an_rpc_that_belongs_to_no_picture_is_named(tmp_path: Path) -> None:

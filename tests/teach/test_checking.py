@@ -72,7 +72,7 @@ def test_an_unknown_exercise_is_an_error_with_the_nearest_names() -> None:
     with pytest.raises(SettingsError, match=r"no exercise '\?\?\?'; expected one of .*tour\.pairs"):
         check("???", 276)
     with pytest.raises(SettingsError, match="by its name; expected a text; found int"):
-        check(276)  # type: ignore[arg-type]
+        check(276)
 
 
 @pytest.mark.parametrize(("answer", "facts"), [(276, {}), (None, {}), (276, {"photos": 24, "pictures": 24})])
@@ -97,7 +97,7 @@ def test_a_verdict_is_words_in_a_terminal_and_a_box_in_a_notebook() -> None:
     # The text keeps the page's own colour: it is read on light and on dark ground.
     assert "color: inherit" in page
     with pytest.raises(FrozenInstanceError):
-        verdict.state = "right"  # type: ignore[misc]
+        verdict.state = "right"
 
 
 ALL = [name for lesson in lessons() for name in exercises_of(lesson)]

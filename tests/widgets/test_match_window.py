@@ -17,7 +17,7 @@ WRONG = PAIRS[PAIRS[:, 1] - PAIRS[:, 0] == 8]
 
 
 def drawn_pairs(figure: object) -> int:
-    heat = figure.data[0]  # type: ignore[attr-defined]
+    heat = figure.data[0]
     return int(np.isfinite(np.array(heat.z, dtype=float)).sum()) // 2
 
 

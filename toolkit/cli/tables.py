@@ -147,11 +147,11 @@ def _changes(recipes: Sequence[Recipe], texts: Sequence[str]) -> dict[str, Any]:
     """Return settings by their names from texts ``key=value``: each is one that any of the methods has."""
     plain = [recipe.settings_type() for recipe in recipes]
     changes: dict[str, Any] = {}
-    for text in texts:
+    for text in texts if plain else ():
         name = text.partition("=")[0].strip()
-        owners = [settings for settings in plain if name in dict(settings.items())]
-        for settings in (owners or plain)[:1]:  # one that does not have it says what is wrong
-            changes[name] = dict(settings.replace_from_text([text]).items())[name]
+        # Where none has it, the first one says what is wrong.
+        owner = next((settings for settings in plain if name in dict(settings.items())), plain[0])
+        changes[name] = dict(owner.replace_from_text([text]).items())[name]
     return changes
 
 

@@ -30,7 +30,7 @@ def test_without_errors_it_is_the_truth_in_another_world(scene: Scene, stride: i
     settings = SimulatedNoiseSettings(**NONE, stride=stride, points=points)
     said = simulate_prediction(scene, lambda frame: true_depth(scene, frame), settings)
     assert said.depth.shape == (5, 66 // stride, 90 // stride)
-    np.testing.assert_allclose(said.cameras[0].params, scene.cameras[1].params)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(said.cameras[0].params, scene.cameras[1].params)
     # Its world is the first camera's, and its unit the mean distance of points from there.
     np.testing.assert_allclose(said.cam_from_world[0].matrix, np.eye(4), atol=1e-12)
     assert np.linalg.norm(said.points[said.valid], axis=1).mean() == pytest.approx(1, rel=1e-5)

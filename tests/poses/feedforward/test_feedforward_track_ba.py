@@ -117,7 +117,7 @@ def test_the_first_pose_and_one_distance_stay(scene: Scene) -> None:
 @pytest.mark.parametrize("intrinsics", ["shared", "each"])
 def test_focal_lengths_are_found_where_asked(scene: Scene, intrinsics: str) -> None:
     said = said_of(scene, focal=3.0)
-    true = scene.cameras[1].params[0]  # type: ignore[attr-defined]
+    true = scene.cameras[1].params[0]
     assert abs(said.cameras[0].params[0] / true - 1) > 0.01
     made = adjust_on_tracks(scene, said, settings_of(intrinsics=intrinsics), seed=1)
     assert len({frame.camera_id for frame in made.scene.frames}) == (1 if intrinsics == "shared" else COUNT)
