@@ -37,7 +37,7 @@ class Table:
     title:
         What it is.
     standard:
-        What ``toolkit table`` is told for the tables in docs/results, beside its name and folders.
+        What ``toolkit table`` is told for the size that docs/results is meant to have, beside its name and folders.
     quick:
         The same for the smallest that goes through the same code.
     sample:
