@@ -45,7 +45,11 @@ def method_page(recipe: Recipe, written: str) -> str:
 
 
 def _head(recipe: Recipe) -> str:
-    paper = f"A row of *{PAPERS[recipe.paper]}*." if recipe.paper else "A method of this toolkit's own."
+    paper = (
+        f"For the tables of *{PAPERS[recipe.paper]}*; not every row there is the paper's own method."
+        if recipe.paper
+        else "A method of this toolkit's own."
+    )
     return (
         f"# {recipe.title}\n\n"
         f"{paper}\n\n"

@@ -45,7 +45,7 @@ def scripts(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_a_method_has_its_settings_with_defaults_ranges_and_presets(scripts: Any) -> None:
     page = scripts("docs_methods").method_page(find_recipe("colmap-3dgs"), "# COLMAP + 3DGS\n\nWhat it does.\n")
-    assert page.startswith("# COLMAP + 3DGS\n\nA row of *A-3DGS")
+    assert page.startswith("# COLMAP + 3DGS\n\nFor the tables of *A-3DGS")
     assert page.count("\n# ") == 0
     assert "What it does." in page
     for row in find_recipe("colmap-3dgs").settings_type.table():
