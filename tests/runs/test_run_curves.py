@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from toolkit.errors import DataError
-from toolkit.runs.curves import HEADER, CurveWriter, read_curves
+from toolkit.runs.curves import HEADER, Curves, CurveWriter, read_curves
 
 
 @pytest.fixture
@@ -110,6 +110,20 @@ def test_another_file_is_refused_by_reader_and_writer(path: Path) -> None:
         with pytest.raises(DataError, match="holds no measurements of a run; expected time_s,stage"):
             attempt(path)
     assert path.read_text() == "step,loss\n1,2"
+
+
+@pytest.mark.parametrize("begun", ["", HEADER[:7], HEADER])
+def test_a_file_that_a_run_only_just_made_holds_nothing_yet(path: Path, begun: str) -> None:
+    path.write_text(begun)
+    assert read_curves(path) == Curves((), 0)
+    write(path, (0.1, 1, 5.0))
+    assert read_curves(path).curves[0].values.tolist() == [5.0]
+
+
+def test_a_file_of_one_unended_line_that_is_no_header_is_refused(path: Path) -> None:
+    path.write_text("step,loss")
+    with pytest.raises(DataError, match="found 'step,loss'"):
+        read_curves(path)
 
 
 def test_a_missing_file_is_told(path: Path) -> None:

@@ -60,6 +60,8 @@ class Curves:
 def read_curves(path: Path) -> Curves:
     """Return what a metrics file holds; an unterminated last line is left out, damaged ones are counted.
 
+    A file whose header is not written to its end yet holds nothing: a run that begins makes the file first.
+
     Raises
     ------
     DataError
@@ -69,7 +71,10 @@ def read_curves(path: Path) -> Curves:
         text = path.read_bytes().decode("utf-8", errors="replace")
     except OSError as error:
         raise DataError(f"Cannot read {path}", expected="the measurements of a run", found=str(error)) from error
-    header, *lines = text.split("\n")[:-1] or [""]
+    if HEADER.startswith(text):
+        return Curves((), 0)
+    header, *lines = text.split("\n")
+    del lines[-1:]
     if header != HEADER:
         raise DataError(f"{path} holds no measurements of a run", expected=HEADER, found=repr(header[:80]))
     table: dict[tuple[str, str], dict[int, tuple[float, float]]] = {}
