@@ -13,6 +13,7 @@ from toolkit.errors import CapabilityError, MissingDependencyError, SettingsErro
 from toolkit.optional import added_by_packages
 from toolkit.recipes.base import Recipe
 from toolkit.recipes.registry import all_recipes, built_in_recipes, find_recipe
+from toolkit.runs.machine import describe_code
 
 RECIPE = """
 from toolkit.recipes.base import Recipe
@@ -89,3 +90,15 @@ def test_one_name_by_two_packages_is_refused(install: Install) -> None:
         CapabilityError, match="Two packages add 'own-way' to toolkit.recipes.*Uninstall one of them"
     ):
         added_by_packages("toolkit.recipes", Recipe)
+
+
+def test_a_run_records_what_was_added_by_which_version(install: Install, tmp_path: Path) -> None:
+    assert "added" not in describe_code.__wrapped__()
+    install("own-package", "[toolkit.recipes]\nown-way = own_package:OWN\n")
+    install("second-package", "[toolkit.matchers]\nother = gone_package:OTHER\n")
+    before = describe_code.__wrapped__()["added"]
+    assert before["own-package"].startswith("1.0, sources ")
+    assert before["second-package"] == "1.0, sources unknown"
+    (tmp_path / "own_package.py").write_text(RECIPE + "# mended\n")
+    after = describe_code.__wrapped__()["added"]
+    assert after["own-package"] != before["own-package"]

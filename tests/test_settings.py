@@ -379,9 +379,10 @@ def test_flags_show_range_default_and_unit_in_the_help() -> None:
     Recipe.add_flags(parser)
     text = " ".join(parser.format_help().split())
     assert (
-        "--mapper.matcher.max-features wholenumber16to65536 Most features kept per image. [2048 features]" in text
+        "--mapper.matcher.max-features INTEGER Most features kept per image. "
+        "[2048 features; whole number 16 to 65536]" in text
     )
-    assert "Shift, 50 % of it at least. [2.0 m]" in text
+    assert "Shift, 50 % of it at least. [2.0 m; number" in text
 
 
 def test_flags_that_were_not_given_keep_the_defaults_and_other_arguments_are_left_alone() -> None:

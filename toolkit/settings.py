@@ -282,11 +282,12 @@ class Settings(param.Parameterized):
         """Add one ``--name`` flag for each setting; read them back with :meth:`from_flags`."""
         for row in cls.table():
             unit = f" {row.unit}" if row.unit else ""
+            value, said = _flag_value(cls.declaration(row.name), row.allowed)
             parser.add_argument(
                 "--" + row.name.replace("_", "-"),
                 dest=_FLAG + row.name,
-                metavar=row.allowed.replace(" ", ""),
-                help=f"{row.doc} [{row.default}{unit}]".replace("%", "%%"),
+                metavar=value,
+                help=f"{row.doc} [{row.default}{unit}{said}]".replace("%", "%%"),
             )
 
     @classmethod
@@ -301,6 +302,17 @@ class Settings(param.Parameterized):
 
 
 _FLAG = "setting:"
+
+
+def _flag_value(declared: param.Parameter, allowed: str) -> tuple[str, str]:
+    """Return what stands for the value of a flag, and what its help says besides about the values it takes."""
+    if isinstance(declared, param.Boolean):
+        return "true|false", ""
+    if isinstance(declared, param.Selector):
+        return allowed.replace(" ", ""), ""
+    if isinstance(declared, param.Number):
+        return "INTEGER" if isinstance(declared, param.Integer) else "NUMBER", f"; {allowed}"
+    return "TEXT", ""
 
 
 def _checked(name: str, declared: param.Parameter, value: Any) -> Any:

@@ -35,12 +35,19 @@ def file_fingerprint(path: Path) -> str:
 
 def code_version(*modules: ModuleType) -> str:
     """Return a hash of the source files of ``modules``; a package counts with every file in it."""
-    digest = hashlib.sha256()
+    sources = []
     for module in modules:
         file_name = getattr(module, "__file__", None)
         if file_name is None:
             raise ValueError(f"{module.__name__} has no source file")
-        source = Path(file_name)
+        sources.append(Path(file_name))
+    return source_version(*sources)
+
+
+def source_version(*sources: Path) -> str:
+    """Return a hash of source files; an ``__init__.py`` counts with every file of its package."""
+    digest = hashlib.sha256()
+    for source in sources:
         files = sorted(source.parent.rglob("*.py")) if source.name == "__init__.py" else [source]
         for file in files:
             digest.update(file.name.encode() + b"\0" + file.read_bytes())

@@ -129,6 +129,15 @@ def test_other_machines_and_other_code_are_warnings(pair: tuple[RunFolder, RunFo
     )
 
 
+def test_other_versions_of_added_packages_are_a_warning(pair: tuple[RunFolder, RunFolder]) -> None:
+    code = pair[0].record().code
+    change_record(pair[0], code={**code, "added": {"orb": "0.1", "same": "2"}})
+    change_record(pair[1], code={**code, "added": {"orb": "0.2", "same": "2", "new": "1"}})
+    comparison = compare_runs(pair)
+    assert comparison.warnings == ("The runs were made with different versions of added packages: new, orb.",)
+    assert next(row for row in comparison.facts if row.name == "code").values[0].endswith("; orb 0.1; same 2")
+
+
 def test_a_run_without_result_is_shown_with_its_reason(finished: MakeRun, queued: MakeRun) -> None:
     good, bad = finished(name="good"), queued(name="bad", fail_at=4)
     with pytest.raises(StageError):

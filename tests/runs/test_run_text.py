@@ -9,6 +9,7 @@ import pytest
 from fake_recipe import RECIPE, MakeRun
 
 from toolkit.errors import StageError
+from toolkit.recipes.registry import find_recipe
 from toolkit.runs.compare import compare_runs
 from toolkit.runs.index import list_runs
 from toolkit.runs.launch import execute
@@ -98,9 +99,13 @@ def test_recipes_are_listed_and_explained() -> None:
     assert recipes_text([RECIPE]).split("\n")[1].split() == ["fake", "–", "A", "fake", "recipe"]
     text = recipe_text(RECIPE)
     assert "fake: A fake recipe" in text
-    row = next(line for line in text.split("\n") if line.startswith("loop.rate"))
-    assert row.split("  ")[0] == "loop.rate"
-    assert "0.5" in row
-    assert "number 0 to 10" in row
-    assert "1/step" in row
-    assert "How fast the loss falls." in row
+    assert "\n\nloop.rate = 0.5 1/step\n    How fast the loss falls. (number 0 to 10)\n" in text
+
+
+def test_what_a_recipe_says_fits_into_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = find_recipe("sensor-3dgs")
+    for columns, widest in (("60", 60), ("10", 50), ("300", 100)):
+        monkeypatch.setenv("COLUMNS", columns)
+        said = recipe_text(recipe).split("\n")
+        # The heading is one line, and a name of a setting is not broken.
+        assert all(len(line) <= widest for line in said[2:] if " " in line.strip() and " = " not in line)

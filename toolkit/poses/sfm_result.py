@@ -78,12 +78,13 @@ class SfmResult:
             more = ", ..." if len(self.models) > _SIZES_TOLD else ""
             return (
                 f"The pictures fall into {len(self.models)} pieces ({sizes}{more} pictures) that no matches join. "
-                f"The largest is the result; {left} of {len(self.wanted)} pictures are not in it. More features, a "
-                "larger window of pairs or a lower min_matches may join them; else reconstruct each by itself.",
+                f"The largest is the result; {left} of {len(self.wanted)} pictures are not in it. More features, "
+                "more pairs (where not every pair is matched already) or a lower min_matches may join them; else "
+                "reconstruct each by itself.",
             )
         return (
-            f"{left} of {len(self.wanted)} pictures could not be placed. More features, a larger window of pairs "
-            "or a lower min_inliers may place them.",
+            f"{left} of {len(self.wanted)} pictures could not be placed. More features, more pairs (where not "
+            "every pair is matched already) or a lower min_inliers may place them.",
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -176,7 +176,8 @@ def _code(record: RunRecord) -> str:
     code = record.code
     commit = f", commit {code['commit'][:10]}" if code.get("commit") else ""
     changed = " with changes" if code.get("changed") else ""
-    return f"{code.get('version')}{commit}{changed}, sources {str(code.get('sources'))[:8]}"
+    added = "".join(f"; {name} {version}" for name, version in code.get("added", {}).items())
+    return f"{code.get('version')}{commit}{changed}, sources {str(code.get('sources'))[:8]}{added}"
 
 
 def _measures(runs: Sequence[ComparedRun], *, mark_pictures: bool) -> tuple[MeasureRow, ...]:
@@ -289,4 +290,8 @@ def _origin_warnings(runs: Sequence[ComparedRun]) -> list[str]:
         warnings.append("The runs were made on different machines or thread counts: times cannot be compared.")
     if len({item.record.code.get("sources") for item in runs}) > 1:
         warnings.append("The runs were made with different versions of the toolkit's code.")
+    added = [item.record.code.get("added", {}) for item in runs]
+    others = sorted(name for name in set().union(*added) if len({each.get(name) for each in added}) > 1)
+    if others:
+        warnings.append(f"The runs were made with different versions of added packages: {', '.join(others)}.")
     return warnings

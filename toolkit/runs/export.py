@@ -50,7 +50,7 @@ def export_run(
         - ``"kitti"``: the registered frames in order, as a KITTI trajectory, which has no times: where frames are
           not registered, line numbers are not frame numbers.
     progress:
-        Told of every copied picture and of the bytes of SPZ files.
+        Told of every copied picture and of the pieces of SPZ files.
 
     Raises
     ------

@@ -10,12 +10,16 @@ import sys
 from ctypes.util import find_library
 from functools import cache
 from importlib import metadata
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import toolkit
 from toolkit.errors import RunError
-from toolkit.workspace import code_version
+from toolkit.matching.added import GROUP as MATCHERS
+from toolkit.recipes.registry import GROUP as RECIPES
+from toolkit.workspace import code_version, source_version
 
 _LIBRARIES = ("numpy", "scipy", "torch", "torchvision", "numba", "pycolmap", "gsplat")
 
@@ -89,9 +93,13 @@ def threads_elsewhere() -> dict[str, Any]:
 def describe_code() -> dict[str, Any]:
     """Return the toolkit's version, a hash of its sources and, in a checkout, the git commit.
 
-    ``changed`` says whether the checkout differed from that commit.
+    ``changed`` says whether the checkout differed from that commit. Where other packages add recipes or matchers,
+    ``added`` has the version of each with a hash of its sources.
     """
     described: dict[str, Any] = {"version": toolkit.__version__, "sources": code_version(toolkit)}
+    added = _added_packages()
+    if added:
+        described["added"] = added
     assert toolkit.__file__ is not None
     root = Path(toolkit.__file__).parent.parent
     # An installed package may lie below a checkout of something else: its commit would be the wrong one.
@@ -101,6 +109,20 @@ def describe_code() -> dict[str, Any]:
         described["commit"] = commit
         described["changed"] = bool(_git(root, "status", "--porcelain", "--", "toolkit"))
     return described
+
+
+def _added_packages() -> dict[str, str]:
+    """Return version and hash of the packages that add to the toolkit, without importing them."""
+    found = {}
+    for point in (*entry_points(group=RECIPES), *entry_points(group=MATCHERS)):
+        module = point.module.partition(".")[0]
+        spec = find_spec(module)
+        # A package of names alone or one in a compiled file has no source to hash.
+        origin = Path(spec.origin) if spec is not None and spec.origin else None
+        sources = source_version(origin) if origin is not None and origin.suffix == ".py" else "unknown"
+        name, version = (point.dist.name, point.dist.version) if point.dist is not None else (module, "unknown")
+        found[name] = f"{version}, sources {sources}"
+    return found
 
 
 def _git(root: Path, *arguments: str) -> str:

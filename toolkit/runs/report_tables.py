@@ -104,8 +104,9 @@ def paper_section(comparison: Comparison) -> Html | None:
     for key in TIMES:
         rows.append([f"time: {key}", *(clock(value) for pair in pairs for value in pair.both(key))])
     remark = (
-        "The paper's figures are means over its own scenes, at its own picture size, steps and machine "
-        "(1920 x 1080, 30,000 steps, NVIDIA L40): only the order of methods can be compared."
+        "The paper's figures are of its own scenes and not of these pictures: means over them, at its own picture "
+        "size, steps and machine (1920 x 1080, 30,000 steps, NVIDIA L40). Only the order of methods can be "
+        "compared."
     )
     return section("Beside the paper", note([remark]), table(heads, rows, "numeric"))
 

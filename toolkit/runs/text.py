@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
@@ -13,6 +14,8 @@ from toolkit.runs.compare import ComparedRun, Comparison, TextRow
 from toolkit.runs.index import RunSummary
 from toolkit.runs.measures import better, format_number, format_seconds
 
+#: Columns of text that wraps.
+_NARROWEST, _WIDEST = 50, 100
 _ARROW = {"higher": " ↑", "lower": " ↓", None: ""}
 
 
@@ -128,14 +131,25 @@ def recipes_text(recipes: Iterable[Recipe]) -> str:
 
 
 def recipe_text(recipe: Recipe) -> str:
-    """Return what a recipe does, the table of its settings, and its presets."""
-    rows = [("setting", "default", "allowed", "unit", "")]
-    rows += [(row.name, str(row.default), row.allowed, row.unit, row.doc) for row in recipe.settings_type.table()]
-    parts = [f"{recipe.name}: {recipe.title}", textwrap.fill(recipe.description, 100), table(rows)]
-    presets = recipe_presets(recipe)
-    if presets:
-        parts.append(table([("preset", ""), *((name, preset.doc) for name, preset in presets.items())]))
-    return "\n\n".join(parts)
+    """Return what a recipe does, its settings with their defaults, and its presets, as wide as the terminal."""
+    width = max(_NARROWEST, min(_WIDEST, shutil.get_terminal_size((_WIDEST, 24)).columns))
+
+    def below(text: str) -> str:
+        return textwrap.fill(text, width, initial_indent="    ", subsequent_indent="    ")
+
+    settings = []
+    for row in recipe.settings_type.table():
+        unit = f" {row.unit}" if row.unit else ""
+        settings.append(f"{row.name} = {row.default}{unit}\n" + below(f"{row.doc} ({row.allowed})"))
+    presets = [f"{name}\n{below(preset.doc)}" for name, preset in recipe_presets(recipe).items()]
+    parts = [
+        f"{recipe.name}: {recipe.title}",
+        textwrap.fill(recipe.description, width),
+        "Settings and their defaults (--set KEY=VALUE)",
+        *settings,
+        *(["Presets (--preset NAME)", *presets] if presets else []),
+    ]
+    return "\n".join(map(printable, "\n\n".join(parts).split("\n")))
 
 
 def result_text(comparison: Comparison) -> str:

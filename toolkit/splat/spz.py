@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from toolkit.errors import DataError
 from toolkit.files import atomic_path
-from toolkit.progress import Progress, ProgressEvent, silent
+from toolkit.progress import Progress, silent, track
 from toolkit.splat.gaussians import Gaussians
 from toolkit.splat.ply import finite_array
 
@@ -186,11 +186,9 @@ def write_spz(
     content = memoryview(header + b"".join(block.tobytes() for block in blocks))
     packer = zlib.compressobj(wbits=31)
     with atomic_path(path) as temporary, temporary.open("wb") as handle:
-        for start in range(0, len(content), _CHUNK):
-            progress(ProgressEvent("spz.write", start, len(content)))
+        for start in track(range(0, len(content), _CHUNK), "spz.write", progress):
             handle.write(packer.compress(content[start : start + _CHUNK]))
         handle.write(packer.flush())
-        progress(ProgressEvent("spz.write", len(content), len(content)))
 
 
 def _unfolded(path: Path) -> tuple[_Layout, Bytes]:
