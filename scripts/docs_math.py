@@ -6,6 +6,7 @@ import html
 import re
 
 from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
 
 # What pymdownx.arithmatex leaves with generic=true.
 _INLINE = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
@@ -19,4 +20,9 @@ def with_formulas(page: str) -> str:
 
 
 def _mathml(latex: str, display: str) -> str:
-    return convert(html.unescape(latex).strip(), display=display)
+    made: str = convert(html.unescape(latex).strip(), display=display)
+    if "\\" in made:  # A command that the library does not know comes out as it went in.
+        raise PluginError(
+            f"The formula {html.unescape(latex).strip()!r} has a command that cannot be drawn: {made}"
+        )
+    return made

@@ -15,6 +15,7 @@ from run_notebooks import executed_version
 PLOTLY = "application/vnd.plotly.v1+json"
 _WIDGET = "application/vnd.jupyter.widget-view+json"
 _COLOUR_CODES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
+_BAR = re.compile(r"^[\w.]+: .*\[.*\]$")
 _LOADS = re.compile(r"<script[^>]*\bsrc=|<link[^>]*\bhref=|https?://[^\s\"']+\.(?:js|css)", re.IGNORECASE)
 #: What the page says of a notebook at its small size.
 _SMALL = (
@@ -113,7 +114,10 @@ def _text(text: str) -> str:
     lines = [
         line.rsplit("\r", 1)[-1].rstrip() for line in _COLOUR_CODES.sub("", text).replace("\r\n", "\n").split("\n")
     ]
-    shown = "\n".join(line for line in lines if line)
+    # One empty line stays where there were some, but none after a progress bar.
+    shown = "\n".join(
+        line for i, line in enumerate(lines) if line or (i and lines[i - 1] and not _BAR.search(lines[i - 1]))
+    ).strip("\n")
     return f"```{{ .text .notebook-text }}\n{shown}\n```" if shown else ""
 
 

@@ -81,6 +81,18 @@ def test_formulas_become_mathml(scripts: Any) -> None:
     assert "arithmatex" not in made
 
 
+def test_a_formula_that_cannot_be_drawn_is_refused(scripts: Any) -> None:
+    page = '<p><span class="arithmatex">\\(\\big\\lVert x\\)</span></p>'
+    with pytest.raises(Exception, match=r"has a command that cannot be drawn"):
+        scripts("docs_math").with_formulas(page)
+
+
+def test_empty_lines_of_an_output_stay_but_for_those_after_progress_bars(scripts: Any) -> None:
+    said = "\nsfm:  50%|█    | 1/2\rsfm: 100%|██| 2/2 [00:01<00:00,  2.00it/s]\n\nmade\n\n\n\nTimes\n  all\n\n"
+    shown = scripts("docs_notebooks")._text(said).split("\n")[1:-1]
+    assert shown == ["sfm: 100%|██| 2/2 [00:01<00:00,  2.00it/s]", "made", "", "Times", "  all"]
+
+
 def test_headings_of_a_page_with_several_titles_go_down(scripts: Any) -> None:
     one_title = scripts("docs_site").one_title
     assert one_title("# A\n\n# B\n\n```sh\n# no\n```\n\n## C") == "# A\n\n## B\n\n```sh\n# no\n```\n\n### C"

@@ -217,7 +217,7 @@ def model_scores_figure(scores: list[ModelScore], chosen: str | None) -> go.Figu
             col=column,
         )
         longest = max([*lengths, 1e-9])
-        drawn.update_xaxes(range=[0.0, (1.15 if errors else 1.35) * longest], row=1, col=column)
+        drawn.update_xaxes(range=[0.0, (1.15 if errors else 1.7) * longest], row=1, col=column)
     drawn.update_xaxes(showticklabels=False, row=1, col=2)
     drawn.update_yaxes(autorange="reversed", row=1, col=1)
     drawn.update_yaxes(autorange="reversed", row=1, col=2)
