@@ -11,6 +11,9 @@ from toolkit.errors import CapabilityError, MissingDependencyError
 
 Added = TypeVar("Added")
 
+#: Groups of entry points by which other packages add recipes and matchers.
+RECIPES, MATCHERS = "toolkit.recipes", "toolkit.matchers"
+
 _CURES = {
     "open3d": (
         "pip install open3d-cpu (Linux on x86-64) or pip install open3d; where a library of the system is missing, "
@@ -67,7 +70,7 @@ def added_by_packages(group: str, kind: type[Added]) -> dict[str, Added]:
     Parameters
     ----------
     group:
-        Of the entry points, for example ``"toolkit.recipes"``.
+        Of the entry points: :data:`RECIPES` or :data:`MATCHERS`.
     kind:
         What each must be; it has a ``name``, which is that of its entry point.
 

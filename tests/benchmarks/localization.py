@@ -53,12 +53,12 @@ METRES, DEGREES = (0, 2.5, 5, 10, 15, 20, 30, 40), (0, 5, 10, 15, 20, 30, 45)
 class Opened:
     """A run's map with its scene, and both methods."""
 
-    def __init__(self, run: Path, features: str, ours_features: str) -> None:
+    def __init__(self, run: Path, features: str, changes: Sequence[str]) -> None:
         stored = read_map(run / "artifacts")
         self.scene = read_scene(run / "artifacts" / "scene")
         self.map = SplatMap(stored.gaussians, stored.kind)
         self.once = OneShot(self.map, OneShotSettings().replace({"match.method": features}))
-        self.ours = Localizer(self.map, LocalizeSettings().replace({"match.method": ours_features}))
+        self.ours = Localizer(self.map, LocalizeSettings().replace_from_text(changes))
 
     @property
     def methods(self) -> tuple[OneShot | Localizer, ...]:
@@ -244,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--truth", type=Path, help="the flight of the map, with its true poses [made here]")
     parser.add_argument("--every", type=int, default=1, help="take every so many queries [1]")
     parser.add_argument("--features", default="aliked-lightglue", help="of the one shot [aliked-lightglue]")
-    parser.add_argument("--ours-features", default="sift", help="of ours [sift]")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of ours")
     parser.add_argument("--each", action="store_true", help="print every query")
     parser.add_argument("--out", type=Path, help="folder for curves")
     chosen = parser.parse_args(arguments)
@@ -254,7 +254,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         make_nadir_flight(chosen.truth, NadirFlightSettings(), progress=bar)
     if chosen.run is None:
         chosen.run = finished_run("2dgs-held", "localization", chosen.truth, chosen.work / "runs", MAP).path
-    opened, given = Opened(chosen.run, chosen.features, chosen.ours_features), chosen.data
+    opened, given = Opened(chosen.run, chosen.features, chosen.set), chosen.data
     for what in chosen.what:
         if given is None and what in ("queries", "lost"):
             chosen.data = sets(chosen.work, QUERIES if what == "queries" else NOWHERE, bar)

@@ -24,13 +24,10 @@ from toolkit.matching.feature_store import store_features, store_matches
 from toolkit.matching.features import FeatureReport, camera_model_choice, check_pictures, start_cameras
 from toolkit.matching.match import MatchReport, VerificationSettings, match_report, require_no_matches, verify_pairs
 from toolkit.matching.pairs import ChosenPairs
-from toolkit.optional import added_by_packages
+from toolkit.optional import MATCHERS, added_by_packages
 from toolkit.progress import Progress, silent, track
 from toolkit.scene import Frame, Scene
 from toolkit.scene.pictures import load_mask, load_picture
-
-#: Entry points by which other packages add matchers.
-GROUP = "toolkit.matchers"
 
 
 class AddedMatcherSettings(VerificationSettings):
@@ -115,7 +112,7 @@ def added_matchers() -> dict[str, Matcher]:
     MissingDependencyError, CapabilityError
         Where one cannot be loaded, is none, or its name or its settings serve another one already.
     """
-    found = added_by_packages(GROUP, Matcher)
+    found = added_by_packages(MATCHERS, Matcher)
     taken = {"method", "sift", "disk", "aliked", "match", "lightglue", "disk_lightglue", "aliked_lightglue"}
     kinds: list[type[AddedMatcherSettings]] = [AddedMatcherSettings]
     for matcher in found.values():
@@ -151,7 +148,7 @@ def matcher_of(settings: AddedMatcherSettings) -> Matcher:
     raise StageError(
         f"No matcher has settings of the class {type(settings).__name__}",
         expected="one of " + ", ".join(m.settings_type.__name__ for m in added_matchers().values()),
-        todo=f"Install the package that adds it by an entry point of the group {GROUP}",
+        todo=f"Install the package that adds it by an entry point of the group {MATCHERS}",
     )
 
 

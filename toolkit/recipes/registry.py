@@ -5,11 +5,8 @@ from __future__ import annotations
 import difflib
 
 from toolkit.errors import CapabilityError, SettingsError
-from toolkit.optional import added_by_packages
+from toolkit.optional import RECIPES, added_by_packages
 from toolkit.recipes.base import Recipe
-
-#: Entry points by which other packages add recipes.
-GROUP = "toolkit.recipes"
 
 
 def all_recipes() -> dict[str, Recipe]:
@@ -21,7 +18,7 @@ def all_recipes() -> dict[str, Recipe]:
         Where a recipe of another package cannot be loaded, is none, or has the name of one that is there.
     """
     recipes = built_in_recipes()
-    for name, recipe in added_by_packages(GROUP, Recipe).items():
+    for name, recipe in added_by_packages(RECIPES, Recipe).items():
         if name in recipes:
             raise CapabilityError(
                 f"A package adds the recipe '{name}', which the toolkit has already",

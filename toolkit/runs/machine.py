@@ -17,8 +17,7 @@ from typing import Any
 
 import toolkit
 from toolkit.errors import RunError
-from toolkit.matching.added import GROUP as MATCHERS
-from toolkit.recipes.registry import GROUP as RECIPES
+from toolkit.optional import MATCHERS, RECIPES
 from toolkit.workspace import code_version, source_version
 
 _LIBRARIES = ("numpy", "scipy", "torch", "torchvision", "numba", "pycolmap", "gsplat")
