@@ -8,7 +8,7 @@ remains displaced across the ray counts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from toolkit.localize.pnp import pose_covariance
 from toolkit.localize.polish import polish
 from toolkit.localize.query import Query, flat_picture, render_camera, shrunk_query
 from toolkit.localize.result import Array, Localization, Round
-from toolkit.localize.settings import LocalizeSettings
+from toolkit.localize.settings import LocalizeSettings, PnpSettings
 from toolkit.localize.splat_map import MapView, SplatMap
 from toolkit.localize.starts import Start
 from toolkit.matching.picture_features import PictureFeatures, PictureMatcher, picture_matcher
@@ -29,6 +29,8 @@ from toolkit.matching.picture_features import PictureFeatures, PictureMatcher, p
 _NOISE = 3.0
 # Pixels of the longer side below which a photo is not shrunk: fewer hold no features.
 _LEAST_SIDE = 160
+# Pixels: as large as the setting may be.
+_LARGEST_ERROR = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +39,7 @@ class _Search:
 
     query: Query
     photo: PictureFeatures
+    pnp: PnpSettings
     seed: int
     clock: Clock
 
@@ -73,7 +76,7 @@ class Localizer:
     ) -> None:
         self._map, self._settings = splat_map, settings
         self.matcher = matcher if matcher is not None else picture_matcher(settings.match, device=device)
-        self._finest = settings.finest * splat_map.detail()
+        self._detail = splat_map.detail()
 
     def localize(
         self, query: Query, start: Start, *, features: PictureFeatures | None = None, seed: int = 0
@@ -88,14 +91,11 @@ class Localizer:
             Of RANSAC.
         """
         clock = Clock()
-        whole, query = query, self._as_fine_as_the_map(query, start.cam_from_world, clock)
-        with clock.part("features"):
-            known = features if query is whole else None
-            photo = known if known is not None else self.matcher.features(query.picture)
-        search = _Search(query, photo, seed, clock)
+        search = self._search(query, start.cam_from_world, features, seed, clock)
         trail, reason = self._rounds(search, start)
+        told = _on_photo(trail, search.query, query)
         if reason:
-            return _not_found(query, reason, trail, clock)
+            return _not_found(query, reason, told, clock)
         last = trail[-1]
         assert last.cam_from_world is not None  # or there is a reason
         pose = last.cam_from_world
@@ -108,24 +108,32 @@ class Localizer:
             if pose is not last.cam_from_world:
                 view = self._render(search, pose)
         with clock.part("judge"):
-            picture, shown = flat_picture(query, view.camera)
+            picture, shown = flat_picture(search.query, view.camera)
             alike = likeness(picture, view.colour, view.reliable & shown)
             reason = objection(
                 pose, covariance, start, depth, last.inliers, last.matches, alike, self._settings.judge
             )
         if reason:
-            return _not_found(query, reason, trail, clock)
-        return Localization(query.name, pose, "", last.matches, last.inliers, covariance, trail, clock.seconds)
+            return _not_found(query, reason, told, clock)
+        return Localization(query.name, pose, "", last.matches, last.inliers, covariance, told, clock.seconds)
 
-    def _as_fine_as_the_map(self, query: Query, start: RigidTransform, clock: Clock) -> Query:
-        """Return the photo, shrunk where its pixels are finer than what the map can show from the start."""
-        if self._finest <= 0:
-            return query
+    def _search(
+        self, query: Query, start: RigidTransform, features: PictureFeatures | None, seed: int, clock: Clock
+    ) -> _Search:
+        """Begin with the photo, shrunk where its pixels are finer than what the map can show from the start."""
+        settings = self._settings
         with clock.part("render"):
-            camera = render_camera(query.camera, self._settings.fan.side)
-            depth = _depth(self._map.render(camera, start, self._settings.reliable))
-        pixel = depth / float(query.camera.intrinsics[0, 0])
-        return shrunk_query(query, self._finest / pixel, least_side=_LEAST_SIDE)
+            camera = render_camera(query.camera, settings.fan.side)
+            depth = _depth(self._map.render(camera, start, settings.reliable))
+        # How many pixels of the photo the map's small Gaussians take.
+        detail = self._detail * float(query.camera.intrinsics[0, 0]) / depth
+        shrunk = shrunk_query(query, settings.finest * detail, least_side=_LEAST_SIDE)
+        blur = settings.blur * detail * shrunk.camera.width / query.camera.width
+        error = min(max(settings.pnp.max_error, blur), _LARGEST_ERROR)
+        with clock.part("features"):
+            known = features if shrunk is query else None
+            photo = known if known is not None else self.matcher.features(shrunk.picture)
+        return _Search(shrunk, photo, settings.pnp.replace({"max_error": error}), seed, clock)
 
     def _rounds(self, search: _Search, start: Start) -> tuple[tuple[Round, ...], str]:
         """Return the rounds, the last of which has the pose, or the reason why there is none."""
@@ -194,7 +202,7 @@ class Localizer:
             search.photo,
             search.query.camera,
             self.matcher,
-            self._settings.pnp,
+            search.pnp,
             all_depths=False,
             seed=search.seed,
             clock=search.clock,
@@ -221,6 +229,12 @@ class Localizer:
         off = done.cam_from_world.centre - pose.centre
         distance = float(np.sqrt(off @ np.linalg.solve(covariance[:3, :3], off)))
         return done.cam_from_world if distance <= settings.polish.max_move else pose
+
+
+def _on_photo(trail: tuple[Round, ...], matched: Query, whole: Query) -> tuple[Round, ...]:
+    """Return rounds with their pixels on the whole photo, of which a smaller one was matched."""
+    factor = np.array([whole.camera.width / matched.camera.width, whole.camera.height / matched.camera.height])
+    return tuple(replace(each, photo_pixels=each.photo_pixels * factor) for each in trail)
 
 
 def _depth(view: MapView) -> float:

@@ -122,6 +122,13 @@ class LocalizeSettings(Settings):
         doc="Photos whose pixels are finer on the ground than this share of the map's small Gaussians (the lower "
         "quartile of their standard deviations) are shrunk: near the ground the map has no such detail. 0: never.",
     )
+    blur = Number(
+        1.0,
+        bounds=(0.0, 10.0),
+        unit="of a Gaussian",
+        doc="Matches may miss by so much of the map's small Gaussians, where that is more than pnp.max_error: near "
+        "the ground nothing in the map has a sharper place.",
+    )
     rounds = Integer(
         6, bounds=(1, 100), doc="Renders that are matched, at most, from a start that was good enough."
     )
