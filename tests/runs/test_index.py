@@ -62,6 +62,13 @@ def test_a_damaged_run_is_a_row_with_its_error(
     assert next(row for row in rows if row.run == bad).error
 
 
+def test_other_folders_beside_runs_are_none(finished: MakeRun, runs_dir: Path) -> None:
+    run = finished()
+    (runs_dir / "demo" / "runs").mkdir(parents=True)
+    renamed = run.path.rename(runs_dir / "kept")
+    assert [row.run.path for row in list_runs(runs_dir)] == [renamed]
+
+
 def test_damaged_curves_do_not_matter_to_a_list(finished: MakeRun, runs_dir: Path) -> None:
     finished().metrics_file.write_text("nonsense")
     assert [row.state for row in list_runs(runs_dir)] == ["finished"]

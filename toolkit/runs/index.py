@@ -79,12 +79,16 @@ def list_runs(runs_dir: Path) -> list[RunSummary]:
 
 
 def run_folders(runs_dir: Path) -> list[RunFolder]:
-    """Return the folders of all runs, by their ids: those begin with the time of creation."""
+    """Return the folders of all runs, by their ids: those begin with the time of creation.
+
+    A folder that has neither the name of a run nor its record is something else, as a demonstration's.
+    """
     if not runs_dir.is_dir():
         return []
     with disk_errors(runs_dir, "listing"), os.scandir(runs_dir) as entries:
         names = sorted(entry.name for entry in entries if entry.is_dir() and not entry.name.startswith("."))
-    return [RunFolder(runs_dir / name) for name in names]
+    folders = [RunFolder(runs_dir / name) for name in names]
+    return [run for run in folders if is_run_id(run.id) or run.record_file.is_file()]
 
 
 def summarise(run: RunFolder) -> RunSummary:
