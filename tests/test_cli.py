@@ -69,7 +69,7 @@ def test_recipes_are_listed_and_explained(toolkit_command: Said) -> None:
     assert toolkit_command("recipes") == 0
     assert "fake    –      A fake recipe" in toolkit_command.out
     assert toolkit_command("recipes", "fake") == 0
-    assert re.search(r"loop\.steps +30 +whole number 1 to 100000 +How many steps\.", toolkit_command.out)
+    assert "loop.steps = 30\n    How many steps. (whole number 1 to 100000)\n" in toolkit_command.out
 
 
 def test_an_unknown_recipe_is_told_with_those_there_are(toolkit_command: Said, runs: Path, photos: Path) -> None:

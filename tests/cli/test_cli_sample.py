@@ -46,7 +46,7 @@ def test_the_help_of_a_kind_has_its_own_defaults(
     assert flags - {"--help", "--debug", "--to", "--seed"} == rows.keys()
     for flag, row in rows.items():
         unit = f" {row.unit}" if row.unit else ""
-        assert re.search(rf"{flag} .*?\[{re.escape(f'{row.default}{unit}')}\]", said), flag
+        assert re.search(rf"{flag} .*?\[{re.escape(f'{row.default}{unit}')}[\];]", said), flag
 
 
 def test_the_help_of_the_command_lists_the_kinds_and_no_defaults(capsys: pytest.CaptureFixture[str]) -> None:
