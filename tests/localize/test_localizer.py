@@ -14,6 +14,7 @@ from toolkit.geometry.rigid import RigidTransform
 from toolkit.localize.fan import fan_poses
 from toolkit.localize.judge import likeness
 from toolkit.localize.localizer import Localizer
+from toolkit.localize.matched_round import Clock
 from toolkit.localize.one_shot import OneShot, one_shot_name
 from toolkit.localize.polish import polish
 from toolkit.localize.query import Query, flat_picture, render_camera, shrunk_query
@@ -233,6 +234,29 @@ def test_matches_may_miss_by_as_much_as_the_map_is_blurred(ground: SplatMap) -> 
     blurred = Localizer(ground, settings(**strict, blur=0.5)).localize(near, begin)
     assert blurred.cam_from_world is not None
     assert pose_errors(blurred.cam_from_world, low)[0] < 0.03
+
+
+@pytest.mark.parametrize(
+    ("height", "size", "error"),
+    [
+        (60.0, (240, 180), 2.0),  # a disk is 1.2 pixels wide
+        (18.0, (240, 180), 4.0),  # four pixels of a photo that is just fine enough
+        (3.0, (160, 120), 4.0),  # sixteen, of which a fortieth of the longer side may be missed
+    ],
+)
+def test_the_error_that_matches_may_have_grows_with_the_blur_up_to_a_bound(
+    ground: SplatMap, query: Query, height: float, size: tuple[int, int], error: float
+) -> None:
+    search = Localizer(ground, settings())._search(query, down(0.0, 0.0, height=height), None, 0, Clock())
+    assert (search.query.camera.width, search.query.camera.height) == size
+    assert search.pnp.max_error == pytest.approx(error, rel=0.1)  # heights are above the mean of a wavy ground
+
+
+def test_from_where_nothing_of_the_map_is_seen_a_photo_is_taken_as_it_is(ground: SplatMap, query: Query) -> None:
+    away = down(5000.0, 0.0, height=3.0)
+    search = Localizer(ground, settings())._search(query, away, None, 0, Clock())
+    assert search.query is query
+    assert search.pnp.max_error == settings().pnp.max_error
 
 
 def test_a_photo_is_shrunk_with_its_camera(query: Query) -> None:

@@ -29,8 +29,8 @@ from toolkit.matching.picture_features import PictureFeatures, PictureMatcher, p
 _NOISE = 3.0
 # Pixels of the longer side below which a photo is not shrunk: fewer hold no features.
 _LEAST_SIDE = 160
-# Pixels: as large as the setting may be.
-_LARGEST_ERROR = 100.0
+# Of the longer side of the matched photo: where the map's blur is wider, matches may not miss by all of it.
+_WIDEST_BLUR = 0.025
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,12 +124,14 @@ class Localizer:
         settings = self._settings
         with clock.part("render"):
             camera = render_camera(query.camera, settings.fan.side)
-            depth = _depth(self._map.render(camera, start, settings.reliable))
-        # How many pixels of the photo the map's small Gaussians take.
-        detail = self._detail * float(query.camera.intrinsics[0, 0]) / depth
+            view = self._map.render(camera, start, settings.reliable)
+        # How many pixels of the photo the map's small Gaussians take; unknown where none is in view.
+        seen = bool((view.depth > 0).any())
+        detail = self._detail * float(query.camera.intrinsics[0, 0]) / _depth(view) if seen else 0.0
         shrunk = shrunk_query(query, settings.finest * detail, least_side=_LEAST_SIDE)
         blur = settings.blur * detail * shrunk.camera.width / query.camera.width
-        error = min(max(settings.pnp.max_error, blur), _LARGEST_ERROR)
+        widest = _WIDEST_BLUR * max(shrunk.camera.width, shrunk.camera.height)
+        error = max(settings.pnp.max_error, min(blur, widest))
         with clock.part("features"):
             known = features if shrunk is query else None
             photo = known if known is not None else self.matcher.features(shrunk.picture)
